@@ -224,7 +224,7 @@ class Agent(Controller):
         mapping = residual_action(machine, card["settings"]["actuation"], card["period"])
         space = observation_space(machine, card["previews"])
         expected = feature_parameters(machine)
-        if any(_shape(card["features"][key]) != _shape(expected[key]) for key in expected):
+        if any(_shape(card["features"][key]) != _shape(expected[key]) for key in ("radii", "rest")):
             raise InputError(f"{path / 'agent.json'}: features do not fit the machine in machine.json")
         exploration = (
             {"use_sde": True} if card["settings"].get("algorithm", {}).get("use_sde") is True else {}

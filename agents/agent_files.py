@@ -92,6 +92,7 @@ class _Features(_Table):
     gains: dict[
         str, Annotated[list[Annotated[list[FiniteFloat], Field(max_length=1000)]], Field(max_length=1000)]
     ] = {}
+    meters: Annotated[FiniteFloat, Field(gt=0.0, le=1.0)] = 1.0
 
 
 class _AgentJson(_Table):

@@ -175,7 +175,7 @@ class AnalyticPolicyGradient:
             batch.references,
             batch.task.metrics == "track",
         )
-        state = torch.from_numpy(model.goal_state(batch.simulator.tool_positions()))
+        state = torch.from_numpy(model.goal_state(model.axis_travel(batch.simulator.tool_positions())))
         last_observation, last_action, costs = None, None, []
         last_volts = torch.zeros((len(state), len(model.rated)), dtype=torch.float64)
         limit = self._limit / len(state)  # because the mean over the episodes is differentiated
@@ -211,9 +211,11 @@ class AnalyticPolicyGradient:
                 last_volts = volts
                 state, tool = outputs[:, : state.shape[1]], outputs[:, state.shape[1] :]
                 tool = tool.reshape(len(tool), SAMPLES, -1)
-                costs.append(
-                    path_errors(tool, references) if has_path else reach_cost(tool, entries["desired_goal"])
-                )
+                if has_path:
+                    costs.append(path_errors(tool, references) * self.mapping.meters**2)
+                else:
+                    goal = entries["desired_goal"] * self.mapping.meters
+                    costs.append(reach_cost(tool * self.mapping.meters, goal))
         by_period = torch.stack(costs, dim=1)
         return path_cost(by_period) * len(costs) if has_path else by_period.sum(1)
 
@@ -222,8 +224,9 @@ class AnalyticPolicyGradient:
         policy = self._trained
         output = policy.action_net(policy.mlp_extractor.forward_actor(policy.extract_features(entries)))
         goal, observation = entries["desired_goal"], entries["observation"]
-        distance = torch.linalg.vector_norm(goal - observation[:, : goal.shape[1]], dim=1)
-        speed = torch.linalg.vector_norm(observation[:, self.mapping.tool_speeds], dim=1)
+        meters = self.mapping.meters
+        distance = meters * torch.linalg.vector_norm(goal - observation[:, : goal.shape[1]], dim=1)
+        speed = meters * torch.linalg.vector_norm(observation[:, self.mapping.tool_speeds], dim=1)
         laws = None
         if self.mapping.laws:  # linear in the state; what they were designed with counts as constant
             volts, gains = (torch.from_numpy(values).float() for values in self.mapping.laws)

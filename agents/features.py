@@ -38,7 +38,7 @@ from ..controllers import (
 )
 from ..controllers.finite_horizon_control import VOLTAGE_CHANGE_WEIGHT
 from ..errors import InputError
-from ..machine import Machine, observed_coordinates, rest_positions_per_axis
+from ..machine import RADIANS, Machine, observed_coordinates, rest_positions_per_axis
 
 ERROR_SCALES = (1e-1, 1e-2, 1e-3, 1e-4)  # m
 SPEED_SCALES = (0.3, 0.02)  # m/s
@@ -96,6 +96,7 @@ def feature_parameters(
             that acts on an axis of the tool itself has no motor coordinate.
         `rest`: belt travel of each motor coordinate per meter of each axis with unstretched belts, m/m, nested list of
             shape (motors, axes).
+        `meters`: only for rotary axes: length that a rad of the tool position counts as, m.
         `gains`: only with `transfers` or `preview`; by key of the observation, the matrix from its entries to these
             voltages as fractions of the rated ones, transfer by transfer, nested list of shape (voltages, entries).
 
@@ -106,8 +107,10 @@ def feature_parameters(
     motor_names = observed_coordinates(machine)[len(machine.tool_axes) :]
     motors = [machine.coordinate_names.index(name) for name in motor_names]
     radii = machine.travel_per_unit[motors]
-    rest = rest_positions_per_axis(machine)[motors] * radii[:, None]
+    rest = rest_positions_per_axis(machine)[motors] * radii[:, None] * machine.axis_unit.per_meter
     geometry = {"radii": radii.tolist(), "rest": rest.tolist()}
+    if machine.axis_unit is RADIANS:
+        geometry["meters"] = 1.0 / machine.axis_unit.per_meter
     if transfers:
         return {**geometry, "gains": _transfer_gains(MotionModel(machine), period, transfers)}
     if preview:
@@ -123,7 +126,7 @@ def _transfer_gains(model: MotionModel, period: float, transfers: Sequence[int])
     on_state = np.concatenate([by_duration[extra] / model.rated[:, None] for extra in transfers])
     return _as_lists(
         observation=on_state @ _state_of_observation(model),
-        desired_goal=-on_state @ model.goal_state(np.eye(len(model.axes))).T,
+        desired_goal=-on_state @ model.goal_state(np.diag(model.axis_radii)).T,
     )
 
 
@@ -144,7 +147,7 @@ def _preview_gains(model: MotionModel, period: float, preview: int) -> dict[str,
     center, rated = _center(grid), model.rated[:, None]
     return _as_lists(
         observation=designed.state[center] / rated @ _state_of_observation(model),
-        preview=designed.goal[center] / rated,
+        preview=designed.goal[center] / rated * np.tile(model.axis_radii, preview),
         last_action=designed.last[center] / rated * model.rated,
     )
 
@@ -165,7 +168,11 @@ def _as_lists(**gains: Array) -> dict[str, Any]:
 
 
 def feature_matrix(
-    sizes: Mapping[str, int], radii: Array, rest: Array, gains: Mapping[str, Array] | None = None
+    sizes: Mapping[str, int],
+    radii: Array,
+    rest: Array,
+    gains: Mapping[str, Array] | None = None,
+    meters: float = 1.0,
 ) -> tuple[Array, Array]:
     """Build the matrix M and the factors g of the inputs of a policy network, g * sign(z M) * log(1 + |z M|).
 
@@ -179,6 +186,7 @@ def feature_matrix(
             (motors, axes).
         gains: By key, matrices from entries of the observation to voltages of model-based controllers, which are summed
             over the keys, shape (voltages, entries of the key); see `feature_parameters`. Default: no such features.
+        meters: Length that a unit of the tool position counts as, m: 1 for meters.
 
     Returns:
         M: Matrix from z to the quantities divided by their scales (z M: dimensionless), shape (entries, features).
@@ -186,10 +194,10 @@ def feature_matrix(
     """
     # Each quantity is a matrix of columns (entries of z, components): the quantity is z times these columns.
     selectors = _selectors(sizes)
-    goal = selectors["desired_goal"]
+    goal = meters * selectors["desired_goal"]
     axes = drives = goal.shape[1]
     rest = np.reshape(rest, (len(radii), axes))
-    tool, motors, tool_speed, motor_speed = _split_state(selectors["observation"], radii, axes)
+    tool, motors, tool_speed, motor_speed = _split_state(selectors["observation"], radii, axes, meters)
     speeds = np.hstack([tool_speed, motor_speed])
     errors = np.hstack([goal - tool, goal @ rest.T - motors])
     blocks = [
@@ -200,10 +208,10 @@ def feature_matrix(
         _scaled_columns(motor_speed - tool_speed @ rest.T, SPEED_SCALES[1:], LARGEST_SPEED),
     ]
     if "preview" in selectors:
-        goal_changes = selectors["preview"] - np.tile(goal, sizes["preview"] // axes)
+        goal_changes = meters * selectors["preview"] - np.tile(goal, sizes["preview"] // axes)
         blocks.append(_scaled_columns(goal_changes, ERROR_SCALES[1:3], LARGEST_ERROR))
     if "last_observation" in selectors:
-        last_speeds = np.hstack(_split_state(selectors["last_observation"], radii, axes)[2:])
+        last_speeds = np.hstack(_split_state(selectors["last_observation"], radii, axes, meters)[2:])
         blocks.append(_scaled_columns(speeds - last_speeds, SPEED_SCALES, LARGEST_SPEED))
     for key in ("last_action", "base_action"):
         if key in selectors:
@@ -234,10 +242,10 @@ def _selectors(sizes: Mapping[str, int]) -> dict[str, Array]:
     }
 
 
-def _split_state(state: Array, radii: Array, axes: int) -> tuple[Array, Array, Array, Array]:
-    """Split a state's columns into tool, motors, tool speed and motor speed, motors in belt travel."""
+def _split_state(state: Array, radii: Array, axes: int, meters: float) -> tuple[Array, Array, Array, Array]:
+    """Split a state's columns into tool, motors, tool speed and motor speed, in m and motors in belt travel."""
     tool, motors, tool_speed, motor_speed = np.split(state, np.cumsum([axes, len(radii), axes]), axis=1)
-    return tool, motors * radii, tool_speed, motor_speed * radii
+    return meters * tool, motors * radii, meters * tool_speed, motor_speed * radii
 
 
 def _scaled_columns(columns: Array, scales: Sequence[float], largest: float) -> tuple[Array, Array]:
@@ -305,8 +313,9 @@ class TransferBank:
         Returns:
             Voltages and their derivatives, shape (batch, K, ...).
         """
-        gains = self._gains[self._grid.nearest(np.asarray(goal, np.float64))] @ self._of_observation
-        at_rest = self._model.observation(self._model.goal_state(goal))
+        travel = self._model.axis_travel(goal)
+        gains = self._gains[self._grid.nearest(travel)] @ self._of_observation
+        at_rest = self._model.observation(self._model.goal_state(travel))
         return FeedbackLaws(np.einsum("bkij,bj->bki", gains, observation - at_rest), gains)
 
 
@@ -349,7 +358,7 @@ class PlanBank:
         rated = self._model.rated
         planned = self._transfers.plan(
             self._model.state({"observation": observation}),
-            np.asarray(goal, np.float64),
+            self._model.axis_travel(goal),
             self._ratios.parameters(self._estimator.estimates),
             last_action * rated,
         )

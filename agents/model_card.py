@@ -17,16 +17,17 @@ from hframe_gym.arrays import Array
 
 from ..atomic_files import write_text
 from ..controllers import Controller
-from ..envs import EnvConfig, as_task
+from ..envs import EnvConfig
 from ..evaluation import (
-    BANDS,
     Episodes,
     Scenario,
     installed_versions,
     rollout,
     settling_or_none,
     settling_times,
+    unit_of_scores,
 )
+from ..machine import AXIS_UNITS
 
 PACKAGES = ("hframe_gym", "stable-baselines3", "torch", "numpy", "numba", "gymnasium")
 EVALUATION_EPISODES = 256  # of every row of a learning curve
@@ -58,7 +59,8 @@ def score_agent(controller: Controller, scenario: Scenario) -> AgentScores:
         `costs`: `episode_costs`, shape (B,). `row`: scores by name.
         With a fixed goal (an episode settles in a band if the tool stays within this distance of the goal to the end):
             `success`: fraction of episodes that settle in the band that the task defines, 0 to 1.
-            `success_BAND`: fraction of episodes that settle, 0 to 1, with BAND 1mm, 0.2mm and 0.05mm.
+            `success_BAND`: fraction of episodes that settle, 0 to 1, with BAND 1mm, 0.2mm and 0.05mm; 10mrad, 2mrad and
+            0.5mrad for rotary axes, whose errors are in mrad.
             `settling_s_BAND`: mean settling time, s; an episode that does not settle counts with its full length.
             `final_error_mm`: median distance to the goal at the end, mm.
         With a moving goal, means over the episodes:
@@ -68,27 +70,27 @@ def score_agent(controller: Controller, scenario: Scenario) -> AgentScores:
     episodes = rollout(controller, scenario)
     error = episodes.goal_error  # (episodes, samples)
     if episodes.contour is not None:
-        row = _tracking_scores(error, episodes.contour)
+        row = _tracking_scores(error, episodes.contour, episodes.unit.small)
     else:
-        row = _reaching_scores(error, episodes, as_task(scenario.task).band)
+        row = _reaching_scores(error, episodes, scenario.controller_task.band)
     return AgentScores(row, episode_costs(episodes))
 
 
 def _reaching_scores(error: Array, episodes: Episodes, task_band: float) -> dict[str, float]:
     """Return the scores of a task with a fixed goal from the distance to it, m, shape (episodes, samples)."""
     row = {"success": float(settling_times(error, episodes.time_s, task_band)[1].mean())}
-    for name, band in BANDS.items():
+    for name, band in episodes.unit.bands.items():
         times, success = settling_times(error, episodes.time_s, band)
         row |= {f"success_{name}": float(success.mean()), f"settling_s_{name}": float(times.mean())}
-    return {**row, "final_error_mm": float(1e3 * np.median(error[:, -1]))}
+    return {**row, f"final_error_{episodes.unit.small}": float(1e3 * np.median(error[:, -1]))}
 
 
-def _tracking_scores(error: Array, contour: Array) -> dict[str, float]:
+def _tracking_scores(error: Array, contour: Array, small: str) -> dict[str, float]:
     """Return the scores of a task with a moving goal from tracking and contour errors, m, (episodes, samples)."""
     return {
-        "contour_rms_mm": float(1e3 * np.sqrt(np.mean(contour**2, axis=1)).mean()),
-        "tracking_rms_mm": float(1e3 * np.sqrt(np.mean(error**2, axis=1)).mean()),
-        "tracking_max_mm": float(1e3 * error.max(axis=1).mean()),
+        f"contour_rms_{small}": float(1e3 * np.sqrt(np.mean(contour**2, axis=1)).mean()),
+        f"tracking_rms_{small}": float(1e3 * np.sqrt(np.mean(error**2, axis=1)).mean()),
+        f"tracking_max_{small}": float(1e3 * error.max(axis=1).mean()),
     }
 
 
@@ -97,13 +99,14 @@ def episode_costs(episodes: Episodes) -> Array:
 
     With a fixed goal it is the sum of the settling times within 1, 0.2 and 0.05 mm, s, plus 0.01 s per millimeter of
     final error. Along a path it is the sum of the rms contour error and the rms tracking error, mm; the contour error
-    alone would be zero for a tool that never leaves its start.
+    alone would be zero for a tool that never leaves its start. Angles count as ways at the end of an arm of 0.1 m.
     """
-    error = episodes.goal_error
+    error, unit = episodes.goal_error, episodes.unit
     if episodes.contour is not None:
-        return np.asarray(1e3 * sum(np.sqrt(np.mean(e**2, axis=1)) for e in (episodes.contour, error)))
-    settling_s = sum(settling_times(error, episodes.time_s, band)[0] for band in BANDS.values())
-    return np.asarray(settling_s + SECONDS_PER_MM * 1e3 * error[:, -1])
+        errors = sum(np.sqrt(np.mean(e**2, axis=1)) for e in (episodes.contour, error))
+        return np.asarray(1e3 * errors / unit.per_meter)
+    settling_s = sum(settling_times(error, episodes.time_s, band)[0] for band in unit.bands.values())
+    return np.asarray(settling_s + SECONDS_PER_MM * 1e3 * error[:, -1] / unit.per_meter)
 
 
 def improves(costs: Array, kept: Array | None) -> bool:
@@ -129,11 +132,15 @@ def progress_line(row: Mapping[str, Any]) -> str:
         row: `steps` (environment steps so far), `seconds` (elapsed time, s), and scores as `score_agent` lists them.
     """
     prefix = f"{row['steps']:>9d} steps  {row['seconds']:6.0f} s"
-    if "contour_rms_mm" in row:
-        return f"{prefix}  contour {row['contour_rms_mm']:.3f} mm rms  tracking {row['tracking_rms_mm']:.3f} mm rms"
-    fractions = ", ".join(f"{100 * row[f'success_{band}']:.1f} % within {band}" for band in BANDS)
-    mean_s = settling_or_none(row["success_0.2mm"], row["settling_s_0.2mm"])
-    settling = "none settles to 0.2mm" if mean_s is None else f"settles to 0.2mm in {mean_s:.3f} s"
+    for small in (unit.small for unit in AXIS_UNITS.values()):
+        if f"contour_rms_{small}" in row:
+            contour, tracking = row[f"contour_rms_{small}"], row[f"tracking_rms_{small}"]
+            return f"{prefix}  contour {contour:.3f} {small} rms  tracking {tracking:.3f} {small} rms"
+    unit = unit_of_scores(row)
+    fractions = ", ".join(f"{100 * row[f'success_{band}']:.1f} % within {band}" for band in unit.bands)
+    bound = unit.bound_band
+    mean_s = settling_or_none(row[f"success_{bound}"], row[f"settling_s_{bound}"])
+    settling = f"none settles to {bound}" if mean_s is None else f"settles to {bound} in {mean_s:.3f} s"
     return f"{prefix}  {fractions}; {settling}"
 
 
@@ -203,17 +210,18 @@ def _score_tables(scores_by_scenario: Mapping[str, Mapping[str, Any]]) -> str:
 
 def _error_table(scores: Mapping[str, Any]) -> str:
     """Format contour and tracking errors, means over the episodes."""
-    rows = ["| error, mm | rms | maximum |", "| --- | ---: | ---: |"]
-    for name in ("contour_mm", "tracking_mm"):
-        rms, maximum = scores[name]["rms"]["mean"], scores[name]["max"]["mean"]
-        rows.append(f"| {name.removesuffix('_mm')} | {rms:.3f} | {maximum:.3f} |")
+    small = unit_of_scores(scores["success"]).small
+    rows = [f"| error, {small} | rms | maximum |", "| --- | ---: | ---: |"]
+    for name in ("contour", "tracking"):
+        score = scores[f"{name}_{small}"]
+        rows.append(f"| {name} | {score['rms']['mean']:.3f} | {score['max']['mean']:.3f} |")
     return "\n".join(rows)
 
 
 def _settling_table(scores: Mapping[str, Any]) -> str:
     """Format success and settling times by band."""
     rows = ["| band | success | mean settling, s | median | 95 % |", "| --- | ---: | ---: | ---: | ---: |"]
-    for band in BANDS:
+    for band in scores["success"]:
         settling_s = settling_or_none(scores["success"][band], scores["settling_s"][band])
         times = " | ".join(
             f"{settling_s[key]:.3f}" if settling_s else "-" for key in ("mean", "median", "p95")

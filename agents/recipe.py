@@ -8,9 +8,9 @@ from importlib import resources
 from typing import Any
 
 from ..controllers import MinimumEnergyTransfers, MotionModel
-from ..envs import TASKS, EnvConfig, Task
+from ..envs import TASKS, EnvConfig, Task, as_task
 from ..errors import InputError
-from ..machine import Machine
+from ..machine import METERS, AxisUnit, Machine
 
 ALGORITHMS = ("ppo", "sac", "tqc", "crossq", "apg")
 # Options of the environment that a recipe cannot set: `train` sets the first two, and the features of policies expect a
@@ -150,18 +150,22 @@ def require_transfers(recipe: Recipe, machine: Machine, task: str) -> None:
     )
 
 
-def build_task(recipe: Recipe, name: str) -> Task:
+def build_task(recipe: Recipe, name: str, unit: AxisUnit = METERS) -> Task:
     """Build the task of a training run, a registered name or `module:name`, with the recipe's settings.
+
+    Recipes state lengths in m. If the unit of the axes is rad, they hold as angles at the end of an arm of 0.1 m.
 
     Raises:
         InputError: If the task is unknown, its class does not have the keywords of `recipe.task`, or its observation
             has another number of future goals (`Task.ahead_s`) than the features of the recipe use.
     """
-    settings = {
+    settings: dict[str, Any] = {
         key: tuple(v) if isinstance(v, list) else v for key, v in recipe.task.items()
     }  # TOML has no tuples
+    for key in set(TASKS.get(name).lengths) & set(settings):
+        settings[key] *= unit.per_meter
     try:
-        task: Task = TASKS.get(name)(**settings)
+        task = as_task(name, unit, **settings)
     except TypeError as error:
         raise InputError(f"recipe {recipe.name}, table task: {error}") from error
     used, observed = recipe.features.get("preview", 0), len(task.ahead_s)

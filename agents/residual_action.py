@@ -98,7 +98,8 @@ class ResidualAction:
 
     Attributes:
         authority: Fractions of the rated voltage and of the last action, by distance and speed.
-        tool_speeds: Columns of the array `observation` that hold the tool velocity along its axes, m/s.
+        tool_speeds: Columns of the array `observation` that hold the tool velocity along its axes, m/s or rad/s.
+        meters: Length that a unit of the tool position counts as: 1 m, or 0.1 m for a rad of rotary axes.
         base: Controller whose action the policy corrects, or None.
         bank: Motions to rest at the goal (`transfers` or `plans`) whose voltages the policy weights, or None.
         laws: Voltages of the bank in this period and their derivatives by the observation; None without a bank.
@@ -127,6 +128,7 @@ class ResidualAction:
         self._drives = len(machine.drives)
         first = len(observed_coordinates(machine))  # after all positions
         self.tool_speeds = slice(first, first + len(machine.tool_axes))
+        self.meters = 1.0 / machine.axis_unit.per_meter
         self._dead_time = DeadTime(machine, period)  # holds actions instead of volts
         self._model = MotionModel(self._dead_time.machine_without_delay) if estimates else None
         switch_s = self._dead_time.remainder_s
@@ -206,8 +208,8 @@ class ResidualAction:
         self._starts.clear()
         self._observation = state
         goal = observation["desired_goal"]
-        self._distance = np.linalg.norm(goal - state[:, : goal.shape[1]], axis=1)
-        self._speed = np.linalg.norm(state[:, self.tool_speeds], axis=1)
+        self._distance = self.meters * np.linalg.norm(goal - state[:, : goal.shape[1]], axis=1)
+        self._speed = self.meters * np.linalg.norm(state[:, self.tool_speeds], axis=1)
         if isinstance(self.bank, PlanBank):
             self.laws = self.bank.laws(state, goal, self._last_action)
         elif self.bank:

@@ -39,6 +39,7 @@ class LogScaleFeatures(BaseFeaturesExtractor):
             (motors, axes).
         gains: By key of the observation, matrices from its entries to voltages of model-based controllers.
             Default: no such features.
+        meters: Length that a unit of the tool position counts as, m: 0.1 for the angles of rotary axes.
 
     Attributes:
         keys: Keys of the observation in the order in which their arrays are concatenated.
@@ -55,6 +56,7 @@ class LogScaleFeatures(BaseFeaturesExtractor):
         radii: list[float],
         rest: list[list[float]],
         gains: dict[str, list[list[float]]] | None = None,
+        meters: float = 1.0,
     ) -> None:
         sizes = {
             key: int(np.prod(observation_space[key].shape or ()))
@@ -62,7 +64,7 @@ class LogScaleFeatures(BaseFeaturesExtractor):
             if key in observation_space.spaces
         }
         arrays = {key: np.array(values) for key, values in (gains or {}).items()}
-        matrix, gain = feature_matrix(sizes, np.array(radii), np.array(rest), arrays)
+        matrix, gain = feature_matrix(sizes, np.array(radii), np.array(rest), arrays, meters)
         super().__init__(observation_space, features_dim=len(gain))
         self.keys = tuple(sizes)
         # Not persistent: they follow from agent.json, so the file of weights does not repeat them.

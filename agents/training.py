@@ -150,7 +150,7 @@ class _Run:
         concern = period_concern(machine, recipe.period)
         if concern:
             log(f"warning: {concern.partition(' (')[0]} in the recipe's [env]")
-        built_task = build_task(recipe, task)
+        built_task = build_task(recipe, task, machine.axis_unit)
         self.environment = _build_environment(recipe, machine, built_task)
         self.card = _new_card(recipe, machine, task, seed)
         self.card["previews"] = len(built_task.ahead_s)

@@ -64,7 +64,8 @@ def train_seeds(
     """
     recipe = algorithm if isinstance(algorithm, Recipe) else load_recipe(algorithm, task)
     require_training_packages(recipe.kind)
-    declared, _ = load_machine(machine), build_task(recipe, task)  # raise errors before any worker starts
+    declared = load_machine(machine)
+    build_task(recipe, task, declared.axis_unit)  # both raise errors before any worker starts
     require_transfers(recipe, declared, task)
     folders, done = _run_folders(Path(out), recipe.name, task, declared.name, seeds, force), 0
 

@@ -12,7 +12,7 @@ from nicegui import events, ui
 from ..agents import shipped_agent_names
 from ..controllers import CONTROLLERS, period_concern, shorter_period, suited_controllers
 from ..envs import TASKS, EnvConfig
-from ..evaluation import BANDS, file_labels
+from ..evaluation import file_labels
 from ..recordings import load_machine
 from ..web_page import number
 from .charts import curves_chart, height_of
@@ -80,7 +80,9 @@ class ControlStage(Stage):
         machine = load_machine(self.session.path(self.session.corrected))
         if len(machine.tool_axes) == 0:
             banner(
-                "neutral", "", f"{machine.name} has no tool that moves, so there are no controllers for it."
+                "neutral",
+                "",
+                f"{machine.name} has no axis for each of its drives, so there are no controllers for it.",
             )
             return
         if self.session.corrected == MACHINE:
@@ -120,20 +122,21 @@ class ControlStage(Stage):
         """Show the scores of the controllers."""
         scores = self._scores()
         heading(f"Scores, {scores['task']}, {scores['episodes']} episodes")
-        bands = list(BANDS)
+        unit = load_machine(self.session.path(self.session.corrected)).axis_unit
+        bands, bound = unit.bands, unit.bound_band
         head = [
             "controller",
-            *(f"within {1e3 * BANDS[band]:g} mm" for band in bands),
-            "until 0.2 mm, s",
-            "at the end, mm",
+            *(f"within {1e3 * band:g} {unit.small}" for band in bands.values()),
+            f"until {1e3 * bands[bound]:g} {unit.small}, s",
+            f"at the end, {unit.small}",
         ]
         rows = []
         for name, score in scores["controllers"].items():
             success = [
                 f"{100 * score['success'][band]:.0f} %" if "success" in score else "" for band in bands
             ]
-            settling = score.get("settling_s", {}).get("0.2mm", {}).get("mean")
-            left = score.get("final_error_mm", {}).get("mean")
+            settling = score.get("settling_s", {}).get(bound, {}).get("mean")
+            left = score.get(f"final_error_{unit.small}", {}).get("mean")
             error = "-" if left is None else "< 0.001" if left < 1e-3 else number(left)
             rows.append([name, *success, number(settling, "-"), error])
         table(head, rows, numbers=range(1, len(head)))
@@ -157,8 +160,8 @@ class ControlStage(Stage):
         choice = ui.toggle({k: f"episode {k + 1}" for k in range(count)}, value=self._episode)
         choice.props("no-caps unelevated")
         view = StageView(drawing, _of_episode(motions, self._episode))
-        inputs = machine.input_channels
-        curves = _curves(_of_episode(motions, self._episode), inputs)
+        inputs, small = machine.input_channels, machine.axis_unit.small
+        curves = _curves(_of_episode(motions, self._episode), inputs, small)
         options = curves_chart(curves, dark=self.page.dark, x_name="time, s")
         chart = ui.echart(options).classes("w-full").style(f"height: {height_of(len(curves)) - 24}px")
         chart.props('role=img aria-label="Distance to the goal and voltages over time"')
@@ -168,7 +171,7 @@ class ControlStage(Stage):
             view.props["motions"] = _of_episode(motions, self._episode)
             view.update()
             chart.options.clear()
-            shown = _curves(_of_episode(motions, self._episode), inputs)
+            shown = _curves(_of_episode(motions, self._episode), inputs, small)
             chart.options.update(curves_chart(shown, dark=self.page.dark, x_name="time, s"))
             chart.update()
 
@@ -180,8 +183,8 @@ def _of_episode(motions: dict[str, list[dict[str, Any]]], episode: int) -> list[
     return [{"name": name, "motion": episodes[episode]} for name, episodes in motions.items()]
 
 
-def _curves(motions: list[dict[str, Any]], inputs: Sequence[str]) -> list[Curve]:
-    """Return distance to the goal, mm, and voltages of the controllers of an episode, over time."""
+def _curves(motions: list[dict[str, Any]], inputs: Sequence[str], small: str) -> list[Curve]:
+    """Return distance to the goal, mm or mrad, and voltages of the controllers of an episode, over time."""
     names = [motion["name"] for motion in motions]
     colors = ", ".join(f"{name} ({color})" for name, color in zip(names, _COLOR_NAMES, strict=False))
     longest = max(len(motion["motion"]["tool"]) for motion in motions)
@@ -190,11 +193,8 @@ def _curves(motions: list[dict[str, Any]], inputs: Sequence[str]) -> list[Curve]
     def padded(values: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
         return np.pad(values, (0, longest - len(values)), constant_values=np.nan)
 
-    distances = [
-        padded(1e3 * np.linalg.norm(np.subtract(m["motion"]["tool"], m["motion"]["goal"]), axis=1))
-        for m in motions
-    ]
-    curves = [_together("distance to the goal, mm", colors, time, names, distances)]
+    distances = [padded(np.array(m["motion"]["distance"])) for m in motions]
+    curves = [_together(f"distance to the goal, {small}", colors, time, names, distances)]
     for k, channel in enumerate(inputs):
         volts = [padded(np.array(m["motion"]["volts"])[:, k]) for m in motions]
         curves.append(_together(channel, "", time, names, volts, held=True))

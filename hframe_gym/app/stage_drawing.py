@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import csv
+import math
 from pathlib import Path
 from typing import Any
 
-from ..machine import Machine, Point, StageGeometry, stage_geometry
+from ..machine import RADIANS, DialGeometry, Machine, Point, StageGeometry, drawn_point, stage_geometry
 
 FRAMES_PER_S = 100.0  # of a motion; a display has 60
 _HALF_TOOL = 0.035  # m, half of the side of the square that is the tool
@@ -17,19 +18,20 @@ Part = tuple[str, str, list[Point]]  # kind and role of a shape, and its points,
 def drawing_of(machine: Machine) -> dict[str, Any] | None:
     """Describe the plan view of a machine.
 
-    Every point of the view is an affine function of the tool's position. A point is the list (a, b, c, d, e, f) of
-    x = a + b X + c Y, y = d + e X + f Y for the tool at (X, Y), all in m.
+    Every point of the view is an affine function of the point at which the tool is drawn. A point is the list
+    (a, b, c, d, e, f) of x = a + b X + c Y, y = d + e X + f Y for the tool at (X, Y), all in m.
 
     Args:
         machine: Machine to draw.
 
     Returns:
-        Limits of the view, m, workspace, and shapes (kind, role, points); None if the machine has no tool.
+        Limits of the view, m, workspace, shapes (kind, role, points), and the point at which the tool is drawn without
+        a motion, m; None if the machine has no tool.
     """
     if not machine.tool_axes:
         return None
     geometry = stage_geometry(machine)
-    single = len(machine.tool_axes) == 1
+    single = len(machine.tool_axes) == 1 and machine.axis_unit is not RADIANS
     motors = {index for index, _ in geometry.motors}
 
     def parts(x: float, y: float) -> list[Part]:
@@ -50,7 +52,16 @@ def drawing_of(machine: Machine) -> dict[str, Any] | None:
         "workspace": workspace,
         "shapes": shapes,
         "axes": machine.tool_axes,
+        "rest": _point_at_rest(machine, geometry),
     }
+
+
+def _point_at_rest(machine: Machine, geometry: StageGeometry) -> Point:
+    """Return where the tool is drawn without a motion: away from the center, so that sections of belts differ."""
+    if isinstance(geometry, DialGeometry):
+        return drawn_point(machine.axis_unit, (0.5,))
+    x = geometry.left + 0.62 * (geometry.right - geometry.left)
+    return x, geometry.low + 0.42 * (geometry.high - geometry.low)
 
 
 def _corners(box: tuple[float, float, float, float]) -> list[tuple[float, float]]:
@@ -89,9 +100,10 @@ def read_motions(path: Path, machine: Machine) -> list[dict[str, Any]]:
         machine: Machine that was controlled.
 
     Returns:
-        For each episode: period of the frames, s, and lists of tool positions and goals, m, and voltages, V.
+        For each episode: period of the frames, s; lists of the points (x, y), m, at which tool and goal are drawn, of
+        the distances between them, mm or mrad (`unit`), and of the voltages, V.
     """
-    axes, inputs = machine.tool_axes, machine.input_channels
+    axes, inputs, unit = machine.tool_axes, machine.input_channels, machine.axis_unit
     episodes: dict[str, list[dict[str, str]]] = {}
     with open(path, newline="", encoding="utf-8") as file:
         for row in csv.DictReader(file):
@@ -105,11 +117,15 @@ def read_motions(path: Path, machine: Machine) -> list[dict[str, Any]]:
         def columns(names: list[str], frames: list[dict[str, str]] = frames) -> list[list[float]]:
             return [[float(row[name]) for name in names] for row in frames]
 
+        tool = columns([f"{axis}_{unit.name}" for axis in axes])
+        goal = columns([f"{axis}_goal_{unit.name}" for axis in axes])
         motions.append(
             {
                 "frame_s": step * every,
-                "tool": columns([f"{axis}_m" for axis in axes]),
-                "goal": columns([f"{axis}_goal_m" for axis in axes]),
+                "tool": [drawn_point(unit, point) for point in tool],
+                "goal": [drawn_point(unit, point) for point in goal],
+                "distance": [1e3 * math.dist(*points) for points in zip(tool, goal, strict=True)],
+                "unit": unit.small,
                 "volts": columns(list(inputs)),
             }
         )

@@ -70,10 +70,7 @@ export default {
     },
     sample(list) { return list[Math.min(this.frame, list.length - 1)]; },
     tool(pane) {
-      if (!pane.motion) {
-        const [x0, y0, x1, y1] = this.drawing.workspace;
-        return [x0 + 0.62 * (x1 - x0), y0 + 0.42 * (y1 - y0)];
-      }
+      if (!pane.motion) return this.drawing.rest;
       return this.sample(pane.motion.tool);
     },
     place(p, pane) {
@@ -89,8 +86,7 @@ export default {
       return "translate(" + g[0] + " " + -(g[1] || 0) + ")";
     },
     distance(pane) {
-      const t = this.tool(pane), g = this.sample(pane.motion.goal);
-      return (1e3 * Math.hypot(...t.map((v, i) => v - g[i]))).toFixed(2) + " mm from the goal";
+      return this.sample(pane.motion.distance).toFixed(2) + " " + pane.motion.unit + " from the goal";
     },
   },
 };

@@ -188,7 +188,7 @@ def evaluate(
     options |= {"machine": declared, "period": period}
     with locked_folder(require_folder(out)):
         with value_errors_as_input_errors():
-            options["task"] = task_with_path(task, path)
+            options["task"] = task_with_path(task, path, declared.axis_unit)
             scores, recorded, warned = _evaluate_all(options, list(dict.fromkeys(controllers)), ray)
         console.print(score_table(scores))
         for reason in unknown_bound_reasons(scores):
@@ -333,15 +333,16 @@ def play(
     declared = load_machine(machine)
     options: dict[str, Any] = {"randomize": randomize, "sensors": sensors, "seed": seed, "period": period}
     with value_errors_as_input_errors():
-        scenario = Scenario(declared, task_with_path(task, path), **options)
+        scenario = Scenario(declared, task_with_path(task, path, declared.axis_unit), **options)
         game = Game(scenario, controller, beside, speed)
     game.run(frames)
+    small = declared.axis_unit.small
     for stage in game.stages:
         state = (
             "outside the band" if stage.settled_s is None else f"in the band since {stage.settled_s:.2f} s"
         )
         log(
-            f"{stage.name}: {1e3 * stage.distance:.3f} mm from the goal after {stage.elapsed_s:.2f} s, {state}"
+            f"{stage.name}: {1e3 * stage.distance:.3f} {small} from the goal after {stage.elapsed_s:.2f} s, {state}"
         )
     if picture is not None:
         game.save_picture(picture)

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from ..identification import IdentificationResult
     from ..identification.budget import Budget
     from ..identification.report.formulas import TableComparison
-    from ..machine import Machine
+    from ..machine import AxisUnit, Machine
     from ..recordings import Recording
 
 _SECONDS_BETWEEN_LINES = 10.0  # of processor time, where progress is no line at the bottom of a terminal
@@ -77,21 +77,24 @@ def require_several_runs(recordings: Sequence[Recording], folder: Path) -> None:
     )
 
 
-def task_with_path(name: str, path: str | None) -> Any:
+def task_with_path(name: str, path: str | None, unit: AxisUnit) -> Any:
     """Return the task that the options --task and --path select: a task object with the path, or the name of the task.
+
+    Args:
+        name: Registered name of the task.
+        path: Shape or file that the goal follows; None: that of the task.
+        unit: Unit of the machine's axes.
 
     Raises:
         InputError: If the task is unknown, or if a path is given for a task that does not follow one.
     """
-    from ..envs import TASKS
+    from ..envs import TASKS, as_task
 
     task_class: Any = TASKS.get(name)
     follows_path = is_dataclass(task_class) and "path" in {field.name for field in fields(task_class)}
     if path is not None and not follows_path:
         raise InputError(f"--path {path}: the task {name} follows no path")
-    if not follows_path:
-        return name
-    return task_class() if path is None else task_class(path=path)
+    return name if path is None else as_task(name, unit, path=path)
 
 
 def option_words(**values: str | None) -> str:

@@ -13,13 +13,12 @@ from rich.table import Table
 
 from ..dynamics import mode_frequencies
 from ..effects import EFFECTS
-from ..machine import BUILTIN_MACHINES, Machine, Row, motion_limits, rigid_motions
+from ..machine import BUILTIN_MACHINES, METERS, AxisUnit, Machine, Row, motion_limits, rigid_motions
 from ..registry import load_plugins
 from ..web_page import number
 
-BANDS = ("1mm", "0.2mm", "0.05mm")
-BOUND_BAND = "0.2mm"  # band of the time-optimal bound
-PATH_ERRORS = {"contour_mm": "contour", "tracking_mm": "track"}
+PATH_ERRORS = {"contour": "contour", "tracking": "track"}
+BANDS, BOUND_BAND = tuple(METERS.bands), METERS.bound_band  # of protocols, whose machines have linear axes
 LISTED_MODES = 3
 
 
@@ -91,7 +90,10 @@ def score_table(scores: Mapping[str, Any]) -> Table:
         0.2 and 0.05 mm of the goal. For a fixed goal, the mean settling times to these bands, s, follow, and the mean
         settling time to 0.2 mm divided by the mean of the shortest possible ones (time-optimal bound); "-" means that
         the value is unknown. For a path, root mean square and largest contour and tracking error, mm, follow instead.
+        Rotary axes have bands of 10, 2 and 0.5 mrad, and errors in mrad.
     """
+    from ..evaluation import unit_of_scores
+
     task = scores["task"].partition("(")[0].lower()
     title = (
         f"{task}: {scores['episodes']} episodes, {scores['machine']}, randomize {scores['randomize']}, "
@@ -99,13 +101,16 @@ def score_table(scores: Mapping[str, Any]) -> Table:
     )
     controllers = scores["controllers"]
     fixed_goal = all("settling_s" in score for score in controllers.values())
-    bands = [band.replace("mm", "\nmm") for band in BANDS]
+    unit = unit_of_scores(next(iter(controllers.values())).get("success", ()))
+    bands = [band.replace(unit.small, f"\n{unit.small}") for band in unit.bands]
     columns = [f"in\n{band}\n%" for band in bands]
     if fixed_goal:
         columns += [*(f"until\n{band}\ns" for band in bands), "over\nthe\nbound"]
     else:
         columns += [
-            f"{label}\nerror\n{kind}\nmm" for label in PATH_ERRORS.values() for kind in ("rms", "max")
+            f"{label}\nerror\n{kind}\n{unit.small}"
+            for label in PATH_ERRORS.values()
+            for kind in ("rms", "max")
         ]
     table = Table(
         title=escape(title), title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True
@@ -114,25 +119,27 @@ def score_table(scores: Mapping[str, Any]) -> Table:
     for column in columns:
         table.add_column(column, justify="right", no_wrap=True, min_width=max(map(len, column.split("\n"))))
     for name, score in controllers.items():
-        success = (f"{100 * score['success'][band]:.1f}" for band in BANDS)
-        table.add_row(escape(name), *success, *(_settling_cells(score) if fixed_goal else _path_cells(score)))
+        success = (f"{100 * score['success'][band]:.1f}" for band in unit.bands)
+        cells = _settling_cells(score, unit) if fixed_goal else _path_cells(score, unit)
+        table.add_row(escape(name), *success, *cells)
     return table
 
 
-def _settling_cells(score: Mapping[str, Any]) -> list[str]:
+def _settling_cells(score: Mapping[str, Any], unit: AxisUnit) -> list[str]:
     """Return the mean settling times, s, and the ratio of the mean settling time to the mean time-optimal bound."""
     from ..evaluation import settling_or_none
 
-    settling = (settling_or_none(score["success"][band], score["settling_s"][band]) for band in BANDS)
+    settling = (settling_or_none(score["success"][band], score["settling_s"][band]) for band in unit.bands)
     times = [f"{scores['mean']:.3f}" if scores else "-" for scores in settling]
-    over_bound = (score.get("over_bound") or {}).get(BOUND_BAND) or {}
+    over_bound = (score.get("over_bound") or {}).get(unit.bound_band) or {}
     ratio = (over_bound.get("ratio_of_means") or {}).get("mean")
     return [*times, f"{ratio:.3f}" if ratio else "-"]
 
 
-def _path_cells(score: Mapping[str, Any]) -> list[str]:
-    """Return contour and tracking errors, rms and maximum, means over the episodes, mm."""
-    return [f"{score[key][kind]['mean']:.3f}" for key in PATH_ERRORS for kind in ("rms", "max")]
+def _path_cells(score: Mapping[str, Any], unit: AxisUnit) -> list[str]:
+    """Return contour and tracking errors, rms and maximum, means over the episodes, mm or mrad."""
+    keys = [f"{key}_{unit.small}" for key in PATH_ERRORS]
+    return [f"{score[key][kind]['mean']:.3f}" for key in keys for kind in ("rms", "max")]
 
 
 def protocol_tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:

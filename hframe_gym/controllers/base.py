@@ -153,6 +153,7 @@ def check_state_units(observation: KeyedObservation, model: MotionModel) -> None
     values = np.asarray(observation["observation"], np.float64)
     achieved = np.asarray(observation["achieved_goal"], np.float64)
     rotary = [i for i, name in enumerate(model.observed) if model.machine.coordinate(name).kind == "rotary"]
+    rotary = [i for i in rotary if model.observed[i] not in model.axes]
     if (
         not rotary or values.shape[1] != 2 * count
     ):  # no angle shows the scale: the size of the workspace has to
@@ -160,7 +161,7 @@ def check_state_units(observation: KeyedObservation, model: MotionModel) -> None
         return
     radii = np.array([model.machine.coordinate(model.observed[i]).travel_per_unit for i in rotary])
     rows = [model.machine.coordinate_names.index(model.observed[i]) for i in rotary]
-    expected = achieved @ model.rigid[rows].T
+    expected = model.axis_travel(achieved) @ model.rigid[rows].T
     angles = values[:, rotary]
     far = np.abs(angles * radii - expected).max(axis=1) > LARGEST_STRETCH
     scaled = far & (np.abs(angles).max(axis=1) <= LARGEST_NORMALIZED)
@@ -183,13 +184,16 @@ def check_goal_units(observation: KeyedObservation, machine: Machine) -> None:
         InputError: If a goal is outside.
     """
     for key in ("achieved_goal", "desired_goal") if "achieved_goal" in observation else ():
-        for axis, values in zip(machine.tool_axes, np.asarray(observation[key]).T, strict=False):
-            low, high = machine.coordinate(axis).range or (-np.inf, np.inf)
-            outside = (values < low - LARGEST_STRETCH - 1e-6) | (values > high + LARGEST_STRETCH + 1e-6)
+        columns = np.asarray(observation[key]).T
+        margin = LARGEST_STRETCH * machine.axis_unit.per_meter + 1e-6
+        for axis, limits, values in zip(machine.tool_axes, machine.axis_ranges, columns, strict=False):
+            low, high = limits or (-np.inf, np.inf)
+            outside = (values < low - margin) | (values > high + margin)
             if outside.any():
                 raise InputError(
                     f"observation is not in SI units: {key} has {axis} = {values[outside][0]:.3g}, and the workspace is"
-                    f" {low:g} to {high:g} m, as if the environment had normalize=True; {_ADVICE}"
+                    f" {low:g} to {high:g} {machine.axis_unit.name}, as if the environment had normalize=True; "
+                    f"{_ADVICE}"
                 )
 
 
@@ -292,7 +296,7 @@ class FullStateController(Controller):
             goals.append(
                 np.asarray(observation["preview"], np.float64).reshape(len(state), -1, len(self.model.axes))
             )
-        return self.act_on_state(state, np.concatenate(goals, axis=1))
+        return self.act_on_state(state, self.model.axis_travel(np.concatenate(goals, axis=1)))
 
     @abstractmethod
     def act_on_state(self, state: TravelStates, goals: PreviewedGoals) -> Actions:

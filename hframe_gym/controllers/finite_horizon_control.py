@@ -176,7 +176,7 @@ class MinimumEnergyTransfers:
             positions: Tool positions at the start and at the end of each of N periods, m, shape (N + 1, axes).
             volts: Voltages, constant over each period, V, shape (N, drives).
         """
-        start, goal = (np.asarray(point, np.float64)[None] for point in (start, goal))
+        start, goal = (self.model.axis_travel(np.asarray(point))[None] for point in (start, goal))
         error = self.model.goal_state(start) - self.model.goal_state(goal)
         N = int(self.select(error, goal, (-limit[None], limit[None]), np.array([self.shortest])).periods[0])
         A, B = scaled_matrices(*self._matrices[int(self.grid.nearest(goal)[0])])
@@ -192,7 +192,7 @@ class MinimumEnergyTransfers:
         states = [error[0] / scale]
         for period_volts in volts:
             states.append(A @ states[-1] + B @ period_volts)
-        return np.array(states)[:, self.model.tool] + goal, volts
+        return (np.array(states)[:, self.model.tool] + goal) / self.model.axis_radii, volts
 
 
 class PreviewGains:

@@ -1,7 +1,8 @@
 """Machine model for controller design: full state in belt travel, rigid motion, friction, and operating points.
 
 All positions are belt travel in m (radius * angle of a rotary coordinate) and all forces act along it, in N, so that x,
-y and the motors have the same scale. In a *rigid motion* the belts do not stretch.
+y and the motors have the same scale. The positions of a rotary tool axis are travel as well: `axis_travel` converts
+goals, which environments give in rad. In a *rigid motion* the belts do not stretch.
 """
 
 from __future__ import annotations
@@ -24,12 +25,17 @@ from ..arrays import (
 )
 from ..dynamics import Equations, ForceBalance, MotionPoint, linearize, matrix_exponential
 from ..errors import InputError
-from ..machine import AppliedEffect, Machine, argument_names, observed_coordinates, rest_state
+from ..machine import AppliedEffect, Machine, argument_names, observed_coordinates, rest_positions_per_axis
 
 GRID = (9, 7)  # operating points along x and y; the stiffness is within 5 % of that of the nearest point
 # m/s: the direction of compensated friction is tanh(v / FRICTION_COMPENSATION_SPEED). Far below the speeds of a move,
 # and far above what remains at its end, so that the voltage does not chatter with the sign of noise.
 FRICTION_COMPENSATION_SPEED = 0.02
+
+
+def axis_travel_per_unit(machine: Machine) -> Array:
+    """Return the belt travel per position of each tool axis: 1, or the radius of a rotary one, m/rad, shape (axes,)."""
+    return np.array([machine.coordinate(axis).travel_per_unit for axis in machine.tool_axes])
 
 
 class OperatingPointGrid:
@@ -45,11 +51,13 @@ class OperatingPointGrid:
 
     def __init__(self, machine: Machine) -> None:
         axes = machine.tool_axes
-        ranges = [r for r in (machine.coordinate(axis).range for axis in axes) if r is not None]
-        if len(ranges) < len(axes):
+        declared = [r for r in machine.axis_ranges if r is not None]
+        if len(declared) < len(axes):
             raise InputError(
-                f"machine {machine.name!r}: {' and '.join(axes)} must have a range to be controlled in"
+                f'machine {machine.name!r}: {" and ".join(axes)} must have a range to be controlled in. Add "range": '
+                "[low, high] in m to each of these coordinates in the machine.json"
             )
+        ranges = np.array(declared) * axis_travel_per_unit(machine)[:, None]
         self._lines = [
             np.linspace(low, high, count) for (low, high), count in zip(ranges, GRID, strict=False)
         ]
@@ -75,6 +83,7 @@ class MotionModel:
         axes: Names of the tool's coordinates, ("x", "y") or one name.
         tool: Indices of these coordinates in the machine's order.
         observed: Coordinate names in the order of a full-state observation.
+        axis_radii: Travel per position of each axis, which is 1 for a linear one, m/m or m/rad, shape (axes,).
         rigid: Belt travel of every coordinate per meter of each axis with unstretched belts, m/m, shape (n, axes).
         mass: Mass of every coordinate, of rotary ones inertia / radius^2, kg, shape (n,).
         viscous: Viscous friction coefficients including back-EMF, Ns/m, shape (n,).
@@ -103,16 +112,14 @@ class MotionModel:
         self.observed = observed_coordinates(machine)
         if not axes or len(machine.drives) != len(axes) or sorted(self.observed) != sorted(names):
             raise InputError(
-                f"machine {machine.name!r}: the controllers need a tool that moves along x and y or along one axis, one"
-                f" drive per axis and no other coordinates; it has the coordinates {', '.join(names)} and the drives "
-                f"{', '.join(d.name for d in machine.drives)}"
+                f"machine {machine.name!r}: the controllers need one or two axes, linear or rotary, one drive per axis "
+                "and no other coordinates than those of axes and drives; it has the coordinates "
+                f"{', '.join(names)} and the drives {', '.join(d.name for d in machine.drives)}"
             )
         n = len(names)
         units = machine.travel_per_unit  # 1 for linear coordinates, radius for rotary ones, m/rad
-        linear = [c.name for c in machine.coordinates if c.kind == "linear"]
-        self.rigid = np.stack(
-            [rest_state(machine, [float(c == axis) for c in linear])[:n] * units for axis in axes], axis=1
-        )
+        self.axis_radii = axis_travel_per_unit(machine)
+        self.rigid = rest_positions_per_axis(machine) * units[:, None] / self.axis_radii
         self._declared = equations = Equations(dataclasses.replace(machine, effects=()))
         memoryless = tuple(e for e in machine.effects if _memoryless(e))
         self._with_effects = Equations(dataclasses.replace(machine, effects=memoryless))
@@ -147,11 +154,19 @@ class MotionModel:
         """Convert states to full-state observations, shape (B, 2 n), the inverse of the method `state`."""
         return (state / self._scale)[:, np.argsort(self._order)]
 
+    def axis_travel(self, position: NDArray[Any]) -> ToolPositions:
+        """Convert tool positions as environments give them, m or rad, to travel along the axes.
+
+        Args:
+            position: Tool positions or goals, m or rad, shape (..., axes).
+        """
+        return np.asarray(position, np.float64) * self.axis_radii
+
     def goal_state(self, goal: NDArray[Any]) -> TravelStates:
         """Compute the states at rest with unstretched belts at given tool positions.
 
         Args:
-            goal: Tool positions, m, shape (B, axes).
+            goal: Tool positions (`axis_travel`), m, shape (B, axes).
         """
         travel = np.asarray(goal, np.float64) @ self.rigid.T
         return np.concatenate([travel, np.zeros_like(travel)], axis=1)

@@ -239,7 +239,7 @@ class PlanSimulation:
             longest_step=SIMULATION_STEP_S,
             parallel=False,
         )
-        return np.asarray(positions[:, 1:, self._model.tool])
+        return np.asarray(self._model.axis_travel(positions[:, 1:, self._model.tool]))
 
     def improve(
         self,

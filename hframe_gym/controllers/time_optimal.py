@@ -26,9 +26,10 @@ from numpy.typing import ArrayLike
 
 from ..arrays import Array
 from ..dynamics import Equations
-from ..machine import Machine, rest_state
+from ..machine import Machine, rest_positions_per_axis
 from .casadi_model import SymbolicModel, check_supported, voltage_limits
 from .input_compensation import InputInversion
+from .motion_model import axis_travel_per_unit
 
 try:
     import casadi as ca
@@ -89,7 +90,7 @@ class TimeOptimalReach:
     the drives.
 
     Args:
-        band: Radius of the band around the goal, m.
+        band: Radius of the band around the goal, m or rad.
         intervals: Numbers of collocation intervals of the motion until the tool enters the band for the last time
             (duration T), and of the following HOLD_S within the band.
         reversal_speed: Speed v0 of the smoothed Coulomb friction F tanh(v / v0), m/s.
@@ -109,11 +110,10 @@ class TimeOptimalReach:
         check_supported(machine)
         self.machine = machine
         self.band, self.intervals, self.reversal_speed = band, intervals, reversal_speed
-        self._axes = [i for i, c in enumerate(machine.coordinates) if c.kind == "linear"]
-        positions = [np.split(rest_state(machine, row), 2)[0] for row in np.eye(len(self._axes))]
-        self._rigid = (
-            np.stack(positions, axis=1) * machine.travel_per_unit[:, None]
-        )  # travel per meter of each axis
+        self._axes = [machine.coordinate_names.index(axis) for axis in machine.tool_axes]
+        # Travel per position of each axis, m/m or m/rad.
+        self._rigid = rest_positions_per_axis(machine) * machine.travel_per_unit[:, None]
+        self._radii = axis_travel_per_unit(machine)
         self._points = np.array(ca.collocation_points(DEGREE, "radau"))
         self.solution: Array = np.zeros(0)  # unknowns of the last call of `solve`
         self._build()
@@ -162,7 +162,9 @@ class TimeOptimalReach:
             effort += ca.dot(action, action) / (sum(self.intervals) * drives)
             state = inner[-1]
             inside = inner if k >= moving else inner[-1:] if k == moving - 1 else []
-            inequalities += [ca.sumsqr((z[self._axes] - goal) / self.band) - 1.0 for z in inside]
+            inequalities += [
+                ca.sumsqr((z[self._axes] / self._radii - goal) / self.band) - 1.0 for z in inside
+            ]
         equalities.append(state[n:])
         inequalities += model.static_excess(state, begin + length)
         problem = {

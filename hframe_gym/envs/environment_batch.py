@@ -59,7 +59,9 @@ class EnvironmentBatch:
     """Advance, observe and reset many environments with the same options.
 
     Attributes:
-        workspace: One row per axis of the tool (x and y), columns low and high, m, shape (axes, 2).
+        workspace: One row per axis of the tool (x and y), columns low and high, m or rad, shape (axes, 2).
+        distance_key: Key of an info with the distance to the goal: "distance_m", or "distance_rad" for rotary axes.
+        contour_key: Key of an info with the distance to the path, "contour_m" or "contour_rad".
         references: Computes the goals.
         observations: Computes observations from states or measurements.
         format: Converts observations to the form that `normalize` and `flat` select; the batch itself uses SI units.
@@ -78,11 +80,13 @@ class EnvironmentBatch:
         sensors = as_sensors(config.sensors)
         machine = as_machine(config.machine)
         self.workspace = workspace_of(machine)
+        self.distance_key = f"distance_{machine.axis_unit.name}"
+        self.contour_key = f"contour_{machine.axis_unit.name}"
         machine = with_actuators(machine, config.drives)
         self.machine = machine if sensors is None else sensors.apply(machine)
-        self.task = as_task(config.task)
+        self.task = as_task(config.task, machine.axis_unit)
         check_task(self.task, self.workspace)
-        reward = as_reward(config.chosen_reward, self.task.band, len(self.workspace))
+        reward = as_reward(config.chosen_reward, self.task.band, len(self.workspace), machine.axis_unit)
         self._ends, self._edges = config.ends == "terminate", self.workspace.astype(np.float32)
         if self._ends:
             reward = PenalizedReward(reward, self._edges, config.penalty)

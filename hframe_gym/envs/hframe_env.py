@@ -328,12 +328,12 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
     def _info(self, distance: float, contour: NDArray[np.float64] | None) -> dict[str, Any]:
         """Return the info of a step or reset."""
         info: dict[str, Any] = {
-            "distance_m": distance,
+            self.batch.distance_key: distance,
             "is_success": distance <= self.batch.task.band,
             "clipped_actions": self.batch.clipped.item(),
         }
         if contour is not None:
-            info["contour_m"] = contour.item()
+            info[self.batch.contour_key] = contour.item()
         if self.batch.rewards.compares_steps:
             info |= {key: goals[0] for key, goals in self.batch.rewards.info().items()}
         if self._parameters:

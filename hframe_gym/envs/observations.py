@@ -198,8 +198,8 @@ class ObservationBuilder:
         Args:
             observation: Output; rows of other blocks are not changed.
             tool: Output, true tool positions, m, shape (count, axes); `achieved_goal` itself if the state is observed.
-            evaluation: Kind of built-in reward (0 dense, 1 sparse), distance that counts as a success, m, and two
-                output arrays, shape (count,) each: distances, m, and rewards. Default: neither is computed.
+            evaluation: The last arguments of `evaluate_rows`, with two output arrays, shape (count,) each: distances,
+                m or rad, and rewards. Default: neither is computed.
 
         Returns:
             Index of an environment whose state is not finite, or -1 if all are finite.
@@ -210,15 +210,19 @@ class ObservationBuilder:
             broken = self._observe(first, last, self._tool, tool, tool)
             self._write_measurements(self._sensors, first, last, observation)
             if evaluation is not None:
+                kind, band, meters, distance, reward = evaluation
                 goals = tool, observation["achieved_goal"], True, observation["desired_goal"]
-                evaluate_rows(*goals, first * LANES, min(last * LANES, simulator.count), *evaluation)
+                span = first * LANES, min(last * LANES, simulator.count)
+                evaluate_rows(*goals, *span, kind, band, meters, distance, reward)
         elif evaluation is None:
             broken = self._observe(first, last, self._state, observation["observation"], tool)
         else:  # one call for both: calls are most of a step of one environment
             arrays = observation["observation"], tool, observation["desired_goal"]
-            kind, band, distance, reward = evaluation
+            kind, band, meters, distance, reward = evaluation
             inputs = self._inputs(self._state)
-            broken = _observe_and_evaluate(*inputs, first, last, *arrays, kind, band, distance, reward)
+            broken = _observe_and_evaluate(
+                *inputs, first, last, *arrays, kind, band, meters, distance, reward
+            )
         if self.privileged:
             rows = observation["privileged"]
             broken = max(broken, self._observe(first, last, self._all_state, rows, tool))
@@ -360,6 +364,7 @@ def _observe_and_evaluate(
     desired: Any,
     kind: int,
     band: float,
+    meters: float,
     distance: Any,
     reward: Any,
 ) -> int:
@@ -367,5 +372,5 @@ def _observe_and_evaluate(
     broken: int = _observe(program, size, state, units, bounds, first, last, out, tool)
     end = min(last * LANES, tool.shape[0])
     measured = bool(0)  # of another type than False, for which Numba would compile `evaluate_rows` once more
-    evaluate_rows(tool, tool, measured, desired, first * LANES, end, kind, band, distance, reward)
+    evaluate_rows(tool, tool, measured, desired, first * LANES, end, kind, band, meters, distance, reward)
     return broken

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..machine import Box, Machine, Point, stage_geometry
+from ..machine import Box, Machine, Point, drawn_point, stage_geometry
 
 if TYPE_CHECKING:
     from .environment_batch import EnvironmentBatch
@@ -44,7 +44,8 @@ class Scene:
         trail: Past tool positions (x, y), m, oldest first.
         path: Positions (x, y) of a moving goal, m; empty for a fixed goal.
         time_s: Time since the reset, s.
-        distance: Distance from tool to goal, m.
+        distance: Distance from tool to goal, mm or mrad.
+        distance_unit: Unit of the distance.
     """
 
     position: Point
@@ -56,6 +57,7 @@ class Scene:
     path: Sequence[Point]
     time_s: float
     distance: float
+    distance_unit: str = "mm"
 
     @classmethod
     def of(cls, batch: EnvironmentBatch, b: int, trail: Sequence[Point]) -> Scene:
@@ -74,35 +76,31 @@ class Scene:
             if batch.machine.coordinate(d.coordinate).kind == "rotary"
         ]
         angles = [position[c] for c in drives[:2]] + [0.0, 0.0]
-        period = batch.config.period
+        period, unit = batch.config.period, batch.machine.axis_unit
         return cls(
             position=tool_point(batch, b),
-            target=_in_plane(batch.references.goals(index)[0].tolist()),
-            band=batch.task.band,
+            target=drawn_point(unit, batch.references.goals(index)[0].tolist()),
+            band=batch.task.band / unit.per_meter,
             angles=(angles[0], angles[1]),
             tensions=batch.simulator.tensions(b),
             trail=list(trail),
             path=[
-                _in_plane(point)
+                drawn_point(unit, point)
                 for point in batch.references.path(b, np.arange(0.0, PATH_S, period)).tolist()
             ],
             time_s=float(batch.elapsed[b] * period),
-            distance=float(batch.distance(index)[0]),
+            distance=1e3 * float(batch.distance(index)[0]),
+            distance_unit=unit.small,
         )
 
 
 def tool_point(batch: EnvironmentBatch, b: int) -> Point:
-    """Return the point (x, y), m, at which a picture shows the tool of environment b; y is 0 with one axis.
+    """Return the point (x, y), m, at which a picture shows the tool of environment b (`drawn_point`).
 
     If the bridge can yaw, the small displacement of the tool by the yaw is not included.
     """
     position = batch.simulator.positions(b)
-    return _in_plane([position[name] for name in batch.machine.tool_axes])
-
-
-def _in_plane(point: Sequence[float]) -> Point:
-    """Return a point of one or two axes as (x, y), m."""
-    return point[0], point[1] if len(point) > 1 else 0.0
+    return drawn_point(batch.machine.axis_unit, [position[name] for name in batch.machine.tool_axes])
 
 
 def tension_color(tension: float | None) -> Color:
@@ -205,7 +203,7 @@ class Renderer:
         draw.circle(surface, PAPER, self._pixel(scene.position), 5)
         draw.circle(surface, INK, self._pixel(scene.position), 2)
         belts = "".join(f"    {k} {v:+.0f} N" for k, v in list(scene.tensions.items())[:4])
-        text = f"t = {scene.time_s:.2f} s    distance = {1e3 * scene.distance:.3f} mm" + (
+        text = f"t = {scene.time_s:.2f} s    distance = {scene.distance:.3f} {scene.distance_unit}" + (
             belts and f"    belts:{belts}"
         )
         surface.blit(self._font.render(text, True, INK), (16, 12))

@@ -10,6 +10,7 @@ is called with the task's tolerance band in m.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,13 +22,15 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from ..dynamics.codegen.compiled import compiled
 from ..errors import InputError
+from ..machine import METERS, AxisUnit
 from ..registry import Registry
 from .workspace import outside_workspace
 
 Positions: TypeAlias = NDArray[np.float32]
 Reward: TypeAlias = Callable[[Positions, Positions], Array]
-# The last arguments of `evaluate_rows`: kind and band of a built-in reward, and the arrays for distances and rewards.
-Evaluation: TypeAlias = tuple[int, float, Array, Array]
+# The last arguments of `evaluate_rows`: kind, band and length of a unit of a built-in reward, and the arrays for
+# distances and rewards.
+Evaluation: TypeAlias = tuple[int, float, float, Array, Array]
 RewardLike: TypeAlias = Literal["dense", "sparse"] | str | Reward
 
 REWARDS: Registry[Callable[[float], Reward]] = Registry("reward")
@@ -58,6 +61,7 @@ def evaluate_rows(
     last: int,
     kind: int,
     band: float,
+    meters: float,
     distance: Any,
     reward: Any,
 ) -> None:
@@ -70,8 +74,9 @@ def evaluate_rows(
         desired: Goal positions, m, shape (n, axes).
         kind: Number of the built-in reward for the distance d. 0: dense, from -1 (far) to 0 (at the goal). 1: sparse, 0
             within `band` and -1 outside. 2: the potential of "progress", -ln(1 + d / 1 mm).
-        band: Distance to the goal within which the sparse reward is 0, m.
-        distance: Output, distances from `tool` to `desired`, m, shape (n,).
+        band: Distance to the goal within which the sparse reward is 0, m or rad.
+        meters: Length that a unit of position counts as in the other rewards: 1 m for m, `ARM` for rad.
+        distance: Output, distances from `tool` to `desired`, m or rad, shape (n,).
         reward: Output, rewards for the distances from `achieved` to `desired`, dimensionless, shape (n,).
     """
     # One loop for each operation, which the compiler vectorizes.
@@ -88,10 +93,10 @@ def evaluate_rows(
             reward[b] = 0.0 if reward[b] <= band else -1.0
     elif kind == PROGRESS:
         for b in range(first, last):
-            reward[b] = -math.log1p(reward[b] / PROGRESS_SCALE)
+            reward[b] = -math.log1p(reward[b] * meters / PROGRESS_SCALE)
     else:
         for b in range(first, last):
-            d = reward[b]
+            d = reward[b] * meters
             # The sum of d / (d + scale) as one fraction: a division costs as much as ten products.
             numerator, denominator = 0.0, 1.0
             for scale in SCALES:
@@ -116,7 +121,7 @@ def distances(achieved: Positions, desired: Positions) -> Array:
     """
     _check_same_shape(achieved, desired)
     distance, reward = np.empty(len(achieved)), np.empty(len(achieved))
-    evaluate_rows(achieved, achieved, False, desired, 0, len(achieved), _DENSE, 0.0, distance, reward)
+    evaluate_rows(achieved, achieved, False, desired, 0, len(achieved), _DENSE, 0.0, 1.0, distance, reward)
     return distance
 
 
@@ -125,13 +130,15 @@ class BuiltinReward:
     """Base class of the rewards that `step` computes in compiled code, in the same pass as the simulation.
 
     Args:
-        band: Distance to the goal that counts as a success, m.
+        band: Distance to the goal that counts as a success, m or rad.
+        meters: Length that a unit of position counts as, m: 1 for positions in m, `ARM` for angles.
 
     Attributes:
         kind: Number of the reward in `evaluate_rows`: 0 dense, 1 sparse, 2 progress.
     """
 
     band: float
+    meters: float = 1.0
     kind = _DENSE
 
     def __call__(self, achieved: Positions, desired: Positions) -> Array:
@@ -142,9 +149,8 @@ class BuiltinReward:
         """
         _check_same_shape(achieved, desired)
         distance, reward = np.empty(len(achieved)), np.empty(len(achieved))
-        evaluate_rows(
-            achieved, achieved, False, desired, 0, len(achieved), self.kind, self.band, distance, reward
-        )
+        constants = self.kind, self.band, self.meters
+        evaluate_rows(achieved, achieved, False, desired, 0, len(achieved), *constants, distance, reward)
         return reward
 
 
@@ -153,7 +159,8 @@ class DenseReward(BuiltinReward):
     """Reward -mean(d / (d + scale)) over the five lengths 0.2 m, 20 mm, ..., 20 um (`SCALES`), with the distance d.
 
     It is 0 at the goal and approaches -1 far from it. In between it resembles -log d: its slope at 0.1 mm is about a
-    hundred times that at 10 mm, so that the last tenths of a millimeter still change the reward measurably.
+    hundred times that at 10 mm, so that the last tenths of a millimeter still change the reward measurably. The lengths
+    of rotary axes are ways at the end of an arm of 0.1 m (`ARM`): d is 0.1 m times the angle.
     """
 
     kind = _DENSE
@@ -193,7 +200,7 @@ class PenalizedReward:
         return np.asarray(self.reward(achieved, desired), np.float64) - self.penalty * outside
 
 
-def as_reward(reward: RewardLike, band: float, axes: int = 2) -> Reward:
+def as_reward(reward: RewardLike, band: float, axes: int = 2, unit: AxisUnit = METERS) -> Reward:
     """Convert the environment option `reward` to a reward function.
 
     Args:
@@ -201,6 +208,7 @@ def as_reward(reward: RewardLike, band: float, axes: int = 2) -> Reward:
         band: Distance to the goal that counts as a success, m. The object that is registered under a name is called
             with it, as `object(band)`, and returns the function. A function that is given directly does not receive it.
         axes: Number of axes of the tool, for a test call of the function.
+        unit: Unit of positions and of the band; the lengths of built-in rewards hold for angles at the end of an arm.
 
     Returns:
         Function of achieved and desired positions, m, shape (n, axes) each, that returns rewards, dimensionless, shape
@@ -213,6 +221,8 @@ def as_reward(reward: RewardLike, band: float, axes: int = 2) -> Reward:
     """
     if isinstance(reward, str):
         function = REWARDS.get(reward)(band)
+        if isinstance(function, BuiltinReward):
+            function = dataclasses.replace(function, meters=1.0 / unit.per_meter)
     elif callable(reward):
         function = reward
     else:

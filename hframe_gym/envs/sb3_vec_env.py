@@ -185,14 +185,14 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
             for description, goal in zip(infos, info[key], strict=True):
                 description[key] = goal
         if "final_obs" in info:
-            over = np.flatnonzero(done).tolist()
+            over, distance_key = np.flatnonzero(done).tolist(), self.envs.batch.distance_key
             final = info["final_info"]
             for b in over:
                 infos[b] = {
                     "terminal_observation": info["final_obs"][b],
                     "TimeLimit.truncated": bool(truncated[b] and not terminated[b]),
                     "is_success": bool(final["is_success"][b]),
-                    "distance_m": float(final["distance_m"][b]),
+                    distance_key: float(final[distance_key][b]),
                 } | {key: final[key][b] for key in self._previous_goals}
             self._keep_reset_infos(info, over)
         return observation, reward, done, infos

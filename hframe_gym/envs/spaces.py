@@ -87,7 +87,8 @@ def _largest_speed(machine: Machine, drive: Drive, workspace: Array) -> float:
         return SPEED_FACTOR * drive.rated_voltage / (drive.Ke * drive.gear_ratio) * coordinate.travel_per_unit
     force = abs(drive.gain) * drive.rated_voltage / coordinate.travel_per_unit
     mass = coordinate.mass / coordinate.travel_per_unit**2
-    way = float(np.linalg.norm(np.ptp(workspace, axis=1)))
+    travel = [machine.coordinate(axis).travel_per_unit for axis in machine.tool_axes]
+    way = float(np.linalg.norm(np.ptp(workspace, axis=1) * travel))
     after_way = (2.0 * force * way / mass) ** 0.5
     viscous = coordinate.viscous / coordinate.travel_per_unit**2
     return SPEED_FACTOR * (min(after_way, force / viscous) if viscous > 0.0 else after_way)
@@ -96,8 +97,10 @@ def _largest_speed(machine: Machine, drive: Drive, workspace: Array) -> float:
 def _tool_signal(machine: Machine, workspace: Array, name: str, label: str = "") -> SignalSpec:
     """Specify the position of the tool or of a goal along an axis, with a label before its name."""
     low, high = workspace[machine.tool_axes.index(name)].tolist()
-    span = low - MARGIN, high + MARGIN, 0.5 * (low + high), 0.5 * (high - low)
-    return SignalSpec(f"{label}{name}", "m", name, False, *span)
+    unit = machine.axis_unit
+    margin = MARGIN * unit.per_meter
+    span = low - margin, high + margin, 0.5 * (low + high), 0.5 * (high - low)
+    return SignalSpec(f"{label}{name}", unit.name, name, False, *span)
 
 
 def _largest_position(machine: Machine, name: str, workspace: Array) -> tuple[float, float]:
@@ -349,7 +352,7 @@ class ObservationFormat:
         center, scale = self._center["desired_goal"], self._scale["desired_goal"]
         return np.stack([center, scale if self.normalize else np.zeros_like(scale)])
 
-    def goal_in_meters(self, goal: ArrayLike) -> NDArray[np.float32]:
+    def goal_in_axis_unit(self, goal: ArrayLike) -> NDArray[np.float32]:
         """Convert goals as observed, shape (axes,) or (n, axes), to positions, m, float32.
 
         Args:

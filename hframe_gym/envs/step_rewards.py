@@ -53,15 +53,14 @@ class ProgressReward(BuiltinReward):
 
     kind = PROGRESS
 
-    @staticmethod
-    def bonus(achieved: Positions, desired: Positions) -> Array:
+    def bonus(self, achieved: Positions, desired: Positions) -> Array:
         """Compute the second term of the reward "progress": 1 / (1 + d / 2 mm) with the distance d, shape (n,).
 
         Args:
             achieved: Achieved tool positions, m, float32, shape (n, axes).
             desired: Goal positions, m, float32, shape (n, axes).
         """
-        return PRECISION_BONUS / (1.0 + distances(achieved, desired) / BONUS_SCALE)
+        return PRECISION_BONUS / (1.0 + distances(achieved, desired) * self.meters / BONUS_SCALE)
 
 
 @compiled
@@ -72,6 +71,7 @@ def _evaluate_step(
     rounding: Any,
     kind: int,
     band: float,
+    meters: float,
     first: int,
     last: int,
     before: Any,
@@ -94,11 +94,11 @@ def _evaluate_step(
                 for j in range(2):
                     goals[j, i, axis] = (goals[j, i, axis] - center) / scale * scale + center
     seen, values = np.empty(count), np.empty(count)
-    evaluate_rows(goals[0], goals[0], False, goals[1], 0, count, kind, band, seen, values)
+    evaluate_rows(goals[0], goals[0], False, goals[1], 0, count, kind, band, meters, seen, values)
     for i in range(count):
         if kind == PROGRESS:
             reward[first + i] = (
-                values[i] - before[first + i] + PRECISION_BONUS / (1.0 + seen[i] / BONUS_SCALE)
+                values[i] - before[first + i] + PRECISION_BONUS / (1.0 + seen[i] * meters / BONUS_SCALE)
             )
             before[first + i] = values[i]
         else:
@@ -126,9 +126,10 @@ class StepRewards:
         self.reward, self._format = reward, observation_format
         self._builtin = reward if isinstance(reward, BuiltinReward) else None
         self.compiled = self._builtin is not None
-        self._kind, self._band = (
-            (self._builtin.kind, self._builtin.band) if self._builtin is not None else (0, 0.0)
-        )
+        self._kind, self._constants = 0, (0, 0.0, 1.0)
+        if self._builtin is not None:
+            self._kind = self._builtin.kind
+            self._constants = self._kind, self._builtin.band, self._builtin.meters
         self._rounding = observation_format.goal_rounding()
         self.depends_on_distance = (
             self.compiled and self._kind != PROGRESS and not observation_format.normalize
@@ -164,12 +165,12 @@ class StepRewards:
             self._potential[index] = self._evaluate(self.reward, *goals_seen)
 
     def evaluation(self, distance: Array, reward: Array) -> Evaluation:
-        """Return the arguments `kind`, `band`, `distance` and `reward`, shape (count,), of `evaluate_rows`.
+        """Return the arguments `kind`, `band`, `meters`, `distance` and `reward`, shape (count,), of `evaluate_rows`.
 
         They are valid only if the attribute `depends_on_distance` is True. The arrays `distance`, m, and `reward`,
         dimensionless, are returned unchanged.
         """
-        return self._kind, self._band, distance, reward
+        return *self._constants, distance, reward
 
     def write(
         self,
@@ -193,7 +194,7 @@ class StepRewards:
             reward: Output, rewards, dimensionless, shape (count,); other rows are not changed.
         """
         achieved, desired = observation["achieved_goal"], observation["desired_goal"]
-        constants = self._rounding, self._kind, self._band, rows.start, rows.stop
+        constants = self._rounding, *self._constants, rows.start, rows.stop
         _evaluate_step(tool, achieved, desired, *constants, self._potential, distance, reward)
 
     def keep_goals(self, observation: Mapping[str, Positions]) -> None:
@@ -265,7 +266,7 @@ class StepRewards:
 
     def _evaluate(self, function: Reward, achieved: NDArray[Any], desired: NDArray[Any]) -> Array:
         """Return the values (n,) of a function of positions for goals as observed (n, axes) or (axes,)."""
-        goals = (np.atleast_2d(self._format.goal_in_meters(goal)) for goal in (achieved, desired))
+        goals = (np.atleast_2d(self._format.goal_in_axis_unit(goal)) for goal in (achieved, desired))
         return np.asarray(function(*goals), np.float64)
 
 

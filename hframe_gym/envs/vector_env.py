@@ -241,10 +241,10 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
         self, info: dict[str, Any], mask: Flags | None, distance: Array, contour: Array | None
     ) -> None:
         """Add what every info has; mask: the environments that it describes, None for all."""
-        columns = {"distance_m": distance, "is_success": distance <= self.batch.task.band}
+        columns = {self.batch.distance_key: distance, "is_success": distance <= self.batch.task.band}
         columns |= {"clipped_actions": self.batch.clipped.copy(), **self.batch.rewards.info()}
         if contour is not None:
-            columns["contour_m"] = contour
+            columns[self.batch.contour_key] = contour
         _add_columns(info, columns, mask, self.num_envs)
         if self._parameters and mask is None:
             info["parameters"] = dict(self._parameters)

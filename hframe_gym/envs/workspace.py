@@ -62,20 +62,27 @@ def effect_and_belt_limits(machine: Machine, smallest_fraction: float) -> dict[s
 
 
 def workspace_of(machine: Machine) -> Workspace:
-    """Return the workspace of the tool: the declared ranges of its axes.
+    """Return the workspace of the tool: the ranges of its axes (`Machine.axis_ranges`).
 
     Raises:
-        InputError: If the machine has no tool axes, an axis has no range, or there are not as many drives as axes.
+        InputError: If the machine has no tool axes, a linear axis has no range, or there are not as many drives as
+            axes.
     """
     axes = machine.tool_axes
     if not axes:
         linear = [c.name for c in machine.coordinates if c.kind == "linear"]
+        if linear:
+            raise InputError(
+                f"machine {machine.name!r} has the linear coordinates {', '.join(linear)}; the environment moves "
+                "a tool along one or two of them. Name two of several x and y"
+            )
+        rotary = [c.name for c in machine.coordinates if c.name not in machine.spring_loaded]
         raise InputError(
-            f"machine {machine.name!r} has the linear coordinates {', '.join(linear) or 'none'}; the environment moves "
-            "a tool along one or two of them. Declare one or two, or name two of several x and y"
+            f"machine {machine.name!r} has the rotary coordinates {', '.join(rotary)} and {len(machine.drives)} "
+            "drives; the environment turns one or two axes with as many drives. Describe the axes one at a time"
         )
-    for name in axes:
-        if machine.coordinate(name).range is None:
+    for name, limits in zip(axes, machine.axis_ranges, strict=True):
+        if limits is None:
             raise InputError(
                 f"machine {machine.name!r}: coordinate {name!r} has no range; the environment needs one as its "
                 f'workspace. Add "range": [low, high] in m to this coordinate in the machine.json'
@@ -85,15 +92,15 @@ def workspace_of(machine: Machine) -> Workspace:
             f"machine {machine.name!r} has {len(machine.drives)} drives; to move its tool along {' and '.join(axes)} "
             f"the environment needs {len(axes)}"
         )
-    return np.array([machine.coordinate(name).range for name in axes], dtype=np.float64)
+    return np.array(machine.axis_ranges, dtype=np.float64)
 
 
 def outside_workspace(positions: NDArray[np.floating[Any]], workspace: NDArray[Any]) -> NDArray[np.bool_]:
     """Test which positions lie outside the workspace, shape (n,); its edge counts as inside.
 
     Args:
-        positions: Tool positions, m, shape (n, axes).
-        workspace: Workspace (`Workspace`), m, shape (axes, 2).
+        positions: Tool positions, m or rad, shape (n, axes).
+        workspace: Workspace (`Workspace`), m or rad, shape (axes, 2).
     """
     beyond = (positions < workspace[:, 0]) | (positions > workspace[:, 1])
     return np.asarray(beyond.any(axis=1))
@@ -123,7 +130,7 @@ END_STOP = Effect(
         EffectParameter("low", "position", -1e3, 1e3, scale=1e-3, grid=(0.0,)),
         EffectParameter("high", "position", -1e3, 1e3, scale=1e-3, grid=(0.0,)),
         EffectParameter("stiffness", "stiffness", 0.0, 1e9, scale=1e4, grid=(BUFFER_STIFFNESS,)),
-        EffectParameter("damping", "s/m", 0.0, 1e3, scale=0.1, grid=(BUFFER_DAMPING,)),
+        EffectParameter("damping", "s/position", 0.0, 1e3, scale=0.1, grid=(BUFFER_DAMPING,)),
         EffectParameter("damped", "position", 0.0, LARGEST_DEPTH, scale=1e-3, grid=(LARGEST_DEPTH,)),
     ),
 )
@@ -136,7 +143,7 @@ class EndStops:
     outward), the tool is pushed back with k d (1 + c v), N, never pulled; stiffness k = 2e5 N/m, damping c = 1.5 s/m.
     The force is larger in compression than in release, so that an impact loses energy (Hunt and Crossley 1975 with
     exponent 1). Buffers of a carriage that is too light for the step are softer: k is smaller, and beyond a depth c
-    decreases as 1/d.
+    decreases as 1/d. An arm on a rotary axis has such a buffer 0.1 m (`ARM`) from the axis.
 
     Args:
         step: Step of the integrator with which the machines are simulated, s.
@@ -152,6 +159,8 @@ class EndStops:
     def __init__(self, machine: Machine, step: float) -> None:
         ranges, parameters = workspace_of(machine).tolist(), list(machine.parameters)
         self._step, self._count = step, len(parameters)
+        per_meter = machine.axis_unit.per_meter
+        self._stiffness, self._damping = BUFFER_STIFFNESS / per_meter**2, BUFFER_DAMPING / per_meter
         columns, factors = [], []  # masses are factors times parameters
         for axis in machine.tool_axes:
             name, factor = f"{axis}.mass", 1.0
@@ -166,7 +175,7 @@ class EndStops:
         self._belts = (
             np.array(belts @ machine.belt_matrix[:, axes] ** 2) if machine.belts else np.zeros(len(axes))
         )
-        self._stops = np.array([(low, high, 0.0, BUFFER_DAMPING, 0.0) for low, high in ranges]).ravel()
+        self._stops = np.array([(low, high, 0.0, self._damping, 0.0) for low, high in ranges]).ravel()
         names = [parameter.name for parameter in END_STOP.parameters]
         nominal = self.parameters(np.array([list(machine.parameters.values())]))[0, self._count :]
         rows = nominal.reshape(len(axes), -1).tolist()
@@ -189,24 +198,34 @@ class EndStops:
         result = np.empty((len(values), self._count + len(self._stops)))
         result[:, : self._count] = values[:, : self._count]
         result[:, self._count :] = self._stops
-        _soften_buffers(result, self._count, self._columns, self._factors, self._belts, self._step)
+        buffer = self._stiffness, self._damping
+        _soften_buffers(result, self._count, self._columns, self._factors, self._belts, self._step, *buffer)
         return result
 
 
 @compiled
-def _soften_buffers(parameters: Any, first: int, columns: Any, factors: Any, belts: Any, step: float) -> None:
+def _soften_buffers(
+    parameters: Any,
+    first: int,
+    columns: Any,
+    factors: Any,
+    belts: Any,
+    step: float,
+    largest: float,
+    damping: float,
+) -> None:
     """Set stiffness and damped depth of the end stops, whose parameters begin at column first, for a step in s.
 
     parameters (k, n), changed here; columns of the masses in them and factors by which they are multiplied (axes,);
-    belts (axes,): stiffness of the belts, N/m.
+    belts (axes,): stiffness of the belts, N/m or Nm/rad; largest stiffness and damping of the buffers.
     """
     for b in range(parameters.shape[0]):
         for axis in range(columns.shape[0]):
             mass, stop = factors[axis] * parameters[b, columns[axis]], first + 5 * axis
-            stiffness = min(BUFFER_STIFFNESS, STIFFNESS_LIMIT / step**2 * mass)
+            stiffness = min(largest, STIFFNESS_LIMIT / step**2 * mass)
             remaining = max(mass - BELT_FRACTION * step**2 * belts[axis], SMALLEST_FRACTION * mass)
             parameters[b, stop + 2] = stiffness
-            damped = DAMPING_LIMIT / (step * BUFFER_DAMPING) * remaining / stiffness
+            damped = DAMPING_LIMIT / (step * damping) * remaining / stiffness
             parameters[b, stop + 4] = min(damped, LARGEST_DEPTH)
 
 
@@ -253,12 +272,13 @@ def write_tool_positions(state: Any, units: Any, terms: Any, first: int, positio
         units: Factor from belt travel to the coordinate's unit, shape (blocks, coordinates, LANES).
         terms: Indices of coordinates, as `tool_terms` returns them, shape (axes, 3).
         first: Index of the first block. The k machines are machine first * LANES and those after it.
-        positions: Output, tool positions, m, shape (k, axes).
+        positions: Output, tool positions, m or rad, shape (k, axes).
     """
     for axis in range(terms.shape[0]):
         row, a, b = terms[axis]
-        for i in range(positions.shape[0]):  # the axes are linear: their travel is the position
-            positions[i, axis] = state[first + i // LANES, row, i % LANES]
+        for i in range(positions.shape[0]):  # the travel of a linear axis is its position
+            block, lane = first + i // LANES, i % LANES
+            positions[i, axis] = state[block, row, lane] * units[block, row, lane]
         if a >= 0:
             for i in range(positions.shape[0]):
                 block, lane = first + i // LANES, i % LANES

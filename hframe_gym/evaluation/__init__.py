@@ -12,6 +12,7 @@ from .metrics import (
     score_episodes,
     settling_times,
     stored_bounds,
+    unit_of_scores,
 )
 from .minari_export import ExportedDataset, RandomActions, dataset_controller, export_dataset
 from .plots import plot_episode, save_plot
@@ -97,6 +98,7 @@ __all__ = [
     "settling_or_none",
     "settling_times",
     "stored_bounds",
+    "unit_of_scores",
     "with_absent_effects",
     "write_motions",
     "write_result",

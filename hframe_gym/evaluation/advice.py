@@ -128,7 +128,8 @@ def worst_move(episodes: Episodes) -> str:
         return f"episode {episode + 1}"
     places = episodes.position[episode, 0], episodes.goal[episode, -1]
     start, goal = (", ".join(f"{1e3 * value:.0f}" for value in place) for place in places)
-    return f"from ({start}) mm to ({goal}) mm"
+    small = episodes.unit.small
+    return f"from ({start}) {small} to ({goal}) {small}"
 
 
 def _step(text: str, command: str = "") -> dict[str, str]:

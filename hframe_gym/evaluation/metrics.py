@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Iterable
 from functools import cache
 from importlib import resources
 from typing import Any, NamedTuple, Protocol
@@ -15,11 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
+from ..machine import AXIS_UNITS, METERS, AxisUnit
 from ..registry import Registry
 from .scenario import EpisodeConditions, Episodes, Scenario, episode_conditions
 
-BANDS = {"1mm": 1e-3, "0.2mm": 2e-4, "0.05mm": 5e-5}  # m, settling bands
-BOUND_BAND = "0.2mm"  # settling band of the time-optimal bounds
+BANDS = METERS.bands  # m, settling bands of linear axes by name, from wide to narrow
+BOUND_BAND = METERS.bound_band  # settling band of the stored time-optimal bounds
 SATURATED = 1.0 - 1e-6  # fraction of the rated voltage from which a drive counts as saturated
 BOOTSTRAP_RESAMPLES = 2000
 BOUNDS_FILE = "bound_times_data/hframe_reach.json"
@@ -38,6 +40,17 @@ class MetricSet(Protocol):
 
 
 METRICS: Registry[MetricSet] = Registry("metric set")
+
+
+def unit_of_scores(names: Iterable[str]) -> AxisUnit:
+    """Find the unit of the tool position from the names of settling bands in scores, such as "2mrad"; default m.
+
+    Args:
+        names: Names that end in the name of a band or are one, for example the keys of `success`.
+    """
+    endings = tuple(names)
+    found = [u for u in AXIS_UNITS.values() if any(name.endswith(u.bound_band) for name in endings)]
+    return found[0] if found else METERS
 
 
 def score_episodes(
@@ -78,7 +91,8 @@ def score_episodes(
 def reach_metrics(episodes: Episodes, bound_s: Array | None, seed: int) -> dict[str, Any]:
     """Compute the metrics of moves to a fixed goal: success, settling time, overshoot, and error at the end.
 
-    An episode settles within 1, 0.2 or 0.05 mm if the tool stays within this distance of the goal until the end.
+    An episode settles within 1, 0.2 or 0.05 mm if the tool stays within this distance of the goal until the end. The
+    bands of rotary axes are 10, 2 and 0.5 mrad, and names have mrad for mm.
 
     Args:
         bound_s: Shortest possible settling times within 0.2 mm, s, shape (B,), NaN where unknown; None for all unknown.
@@ -96,7 +110,8 @@ def reach_metrics(episodes: Episodes, bound_s: Array | None, seed: int) -> dict[
         ValueError: If `bound_s` has another length, or holds a time that is neither NaN nor positive and finite.
     """
     error = episodes.goal_error
-    settled = {name: settling_times(error, episodes.time_s, band) for name, band in BANDS.items()}
+    unit = episodes.unit
+    settled = {name: settling_times(error, episodes.time_s, band) for name, band in unit.bands.items()}
     return {
         "success": {name: float(np.mean(success)) for name, (_, success) in settled.items()},
         "settling_s": {
@@ -109,8 +124,10 @@ def reach_metrics(episodes: Episodes, bound_s: Array | None, seed: int) -> dict[
             for name, (times, _) in settled.items()
         },
         "over_bound": None if bound_s is None else ratio_to_bound(settled[BOUND_BAND][0], bound_s, seed),
-        "overshoot_mm": mean_with_interval(1e3 * overshoot(episodes.position, episodes.goal[:, -1]), seed),
-        "final_error_mm": mean_with_interval(1e3 * error[:, -1], seed),
+        f"overshoot_{unit.small}": mean_with_interval(
+            1e3 * overshoot(episodes.position, episodes.goal[:, -1]), seed
+        ),
+        f"final_error_{unit.small}": mean_with_interval(1e3 * error[:, -1], seed),
     }
 
 
@@ -128,7 +145,7 @@ def track_metrics(episodes: Episodes, bound_s: Array | None, seed: int) -> dict[
     Returns:
         `success`: fraction of episodes whose contour error never exceeds 1, 0.2 or 0.05 mm, 0 to 1, by this limit.
         `contour_mm`, `tracking_mm`: `rms` and `max` of the error in an episode, mm. `delay_ms`: delay of the tool, ms.
-        Each has the `mean` over the episodes and `ci95`, its 95 % confidence interval.
+        Each has the `mean` over the episodes and `ci95`, its 95 % confidence interval. Rotary axes have mrad for mm.
 
     Raises:
         ValueError: If the episodes have no path.
@@ -136,14 +153,16 @@ def track_metrics(episodes: Episodes, bound_s: Array | None, seed: int) -> dict[
     contour = episodes.contour
     if contour is None:
         raise ValueError("the metric set 'track' needs episodes with a path (info['contour_m'])")
+    unit = episodes.unit
+    errors = {f"contour_{unit.small}": contour, f"tracking_{unit.small}": episodes.goal_error}
     return {
-        "success": {name: float(np.mean(contour.max(axis=1) <= band)) for name, band in BANDS.items()},
+        "success": {name: float(np.mean(contour.max(axis=1) <= band)) for name, band in unit.bands.items()},
         **{
             name: {
                 "rms": mean_with_interval(1e3 * np.sqrt(np.mean(error**2, axis=1)), seed),
                 "max": mean_with_interval(1e3 * error.max(axis=1), seed),
             }
-            for name, error in {"contour_mm": contour, "tracking_mm": episodes.goal_error}.items()
+            for name, error in errors.items()
         },
         "delay_ms": mean_with_interval(1e3 * tracking_delay(episodes), seed),
     }
@@ -182,7 +201,7 @@ def ranked_episodes(episodes: Episodes) -> NDArray[np.intp]:
     """
     if episodes.contour is not None:
         return np.argsort(np.mean(episodes.contour**2, axis=1), kind="stable")
-    times, success = settling_times(episodes.goal_error, episodes.time_s, BANDS[BOUND_BAND])
+    times, success = settling_times(episodes.goal_error, episodes.time_s, episodes.unit.bound_size)
     return np.lexsort((episodes.goal_error[:, -1], np.where(success, times, np.inf)))
 
 

@@ -219,7 +219,7 @@ def _env_spec(scenario: Scenario, folder: Path, *, normalize: bool, flat: bool) 
 
     A machine that is not a preset is read from the machine.json in the folder of the data set.
     """
-    if scenario.controller_task != as_task(scenario.task):
+    if scenario.controller_task != as_task(scenario.task, scenario.declared_machine.axis_unit):
         raise InputError(
             f"task {scenario.task_name} at a period of {scenario.period:g} s: the controller needs a preview of goals "
             "at this period, which the data set's environment cannot state; export this task at a period of 0.01 s"

@@ -15,8 +15,9 @@ from ..arrays import Array
 from ..atomic_files import atomic_file
 from ..controllers import Controller, MotionModel
 from ..envs import HFrameEnv
-from ..envs.rendering import HEIGHT, TRAIL_LENGTH, WIDTH, Renderer, Scene
+from ..envs.rendering import HEIGHT, TRAIL_LENGTH, WIDTH, Renderer, Scene, tool_point
 from ..errors import InputError
+from ..machine import position_of_point
 from .scenario import Scenario, make_controller
 
 FRAMES_PER_S = 50
@@ -68,7 +69,7 @@ class PlayedStage:
         view: Picture of the stage, which converts pixels to positions.
         volts: Voltages of the drives in the last control period, V, shape (drives,).
         settled_s: Time from which on the tool has been within the task's band, s; None while it is outside.
-        distance: Distance of the tool to the goal, m.
+        distance: Distance of the tool to the goal, m or rad.
     """
 
     def __init__(self, scenario: Scenario, name: str | None) -> None:
@@ -87,23 +88,23 @@ class PlayedStage:
         self._trail: deque[tuple[float, float]] = deque(maxlen=TRAIL_LENGTH)
 
     @property
-    def position(self) -> tuple[float, float]:
-        """True position (x, y) of the tool of this stage, m."""
+    def position(self) -> tuple[float, ...]:
+        """True position of the tool of this stage along its axes, m or rad."""
         position = self.env.batch.simulator.positions(0)
-        first, second = self.env.batch.machine.tool_axes
-        return position[first], position[second]
+        return tuple(position[axis] for axis in self.env.batch.machine.tool_axes)
 
     @property
     def elapsed_s(self) -> float:
         """Time since the start of the episode, s."""
         return float(self.env.batch.elapsed[0] * self.env.batch.config.period)
 
-    def reset(self, seed: int, target: tuple[float, float] | None = None) -> None:
+    def reset(self, seed: int, target: tuple[float, ...] | None = None) -> None:
         """Begin a new episode on this stage.
 
         Args:
             seed: Seed of start, goal and machine parameters.
-            target: Target (x, y), m, approached from the present position. Default: start and goal of the task.
+            target: Target along the axes, m or rad, approached from the present position. Default: start and goal of
+                the task.
 
         Raises:
             InputError: If a target is given for a task without one, or it is outside the workspace.
@@ -134,12 +135,12 @@ class PlayedStage:
 
     def _note(self, info: dict[str, Any]) -> None:
         """Update distance, settling time and trail."""
-        self.distance = float(info["distance_m"])
+        self.distance = float(info[self.env.batch.distance_key])
         if not info["is_success"]:
             self.settled_s = None
         elif self.settled_s is None:
             self.settled_s = self.elapsed_s
-        self._trail.append(self.position)
+        self._trail.append(tool_point(self.env.batch, 0))
 
     def draw(self) -> Any:
         """Draw this stage from above on a Pygame surface of 880 x 660 pixels, which the next call overwrites."""
@@ -163,8 +164,8 @@ class Game:
 
     Raises:
         ImportError: If pygame is missing; the message names the extra.
-        InputError: If the machine has no coordinates x and y with two drives, a controller is unknown, the speed is
-            not positive, or there is no display.
+        InputError: If the machine has no axes with as many drives, a controller is unknown, the speed is not positive,
+            or there is no display.
     """
 
     def __init__(
@@ -172,12 +173,6 @@ class Game:
     ) -> None:
         if not (math.isfinite(speed) and speed > 0.0):
             raise InputError(f"speed is {speed!r}, it must be a positive number")
-        machine = scenario.declared_machine
-        if len(machine.tool_axes) != 2:
-            raise InputError(
-                f"machine {machine.name!r}: `hframe play` shows a tool that moves along x and y, and this one moves "
-                f"along {' and '.join(machine.tool_axes) or 'no axis'} only; `hframe evaluate` plots its episodes"
-            )
         self._model = MotionModel(scenario.declared_machine)
         self.stages = [PlayedStage(scenario, controller)] + (
             [PlayedStage(scenario, beside)] if beside else []
@@ -198,16 +193,16 @@ class Game:
         pygame.display.set_caption(f"hframe play: {scenario.declared_machine.name}, {scenario.task_name}")
         self._font, self._small = pygame.font.Font(None, 26), pygame.font.Font(None, 19)
         self._keys: set[int] = set()
-        self._pointer: tuple[float, float] | None = None  # m, while the left button is held
+        self._pointer: tuple[float, ...] | None = None  # tool position, while the left button is held
         self.done, self.paused, self.seed = False, False, scenario.seed
         self.reset()
 
-    def reset(self, target: tuple[float, float] | None = None) -> None:
+    def reset(self, target: tuple[float, ...] | None = None) -> None:
         """Begin a new episode on all stages, with the same goal and machine parameters.
 
         Args:
-            target: Target (x, y), m, which every stage approaches from its present position. Default: goal and common
-                start of the task.
+            target: Target along the axes, m or rad, which every stage approaches from its present position. Default:
+                goal and common start of the task.
 
         Raises:
             InputError: If a target is given for a task without one, or it is outside the workspace.
@@ -247,12 +242,13 @@ class Game:
         else:
             self._keys.add(key)
 
-    def _point(self, pixel: tuple[int, int]) -> tuple[float, float]:
-        """Return the position, m, at a pixel of the window, in the stage that it belongs to."""
+    def _point(self, pixel: tuple[int, int]) -> tuple[float, ...]:
+        """Return the tool position at a pixel of the window, in the stage that it belongs to."""
         column = pixel[0] % self._size[0]
-        return self.stages[0].view.point((column / self._scale, pixel[1] / self._scale))
+        point = self.stages[0].view.point((column / self._scale, pixel[1] / self._scale))
+        return position_of_point(self._model.machine.axis_unit, point, self.stages[0].position)
 
-    def _set_target(self, point: tuple[float, float]) -> None:
+    def _set_target(self, point: tuple[float, ...]) -> None:
         """Begin an episode with a target; it is ignored for a task without a target and outside the workspace."""
         with suppress(InputError):
             self.reset(point)
@@ -266,12 +262,13 @@ class Game:
         """
         pygame, keys = self._pygame, self._keys
         if self._pointer is not None:
-            push = (np.array(self._pointer) - self.stages[0].position) / FULL_VOLTAGE_DISTANCE
+            reach = FULL_VOLTAGE_DISTANCE * self._model.machine.axis_unit.per_meter
+            push = (np.array(self._pointer) - self.stages[0].position) / reach
         else:
             x = (pygame.K_RIGHT in keys) - (pygame.K_LEFT in keys)
             y = (pygame.K_UP in keys) - (pygame.K_DOWN in keys)
             full = pygame.K_LSHIFT in keys or pygame.K_RSHIFT in keys
-            push = (1.0 if full else GENTLE) * np.array([x, y], np.float64)
+            push = (1.0 if full else GENTLE) * np.array([x, y][: len(self._model.axes)], np.float64)
         size = float(np.linalg.norm(push))
         if size == 0.0:
             return np.zeros(len(self._model.rated))
@@ -302,12 +299,12 @@ class Game:
 
     def _draw_strip(self, stage: PlayedStage, left: int, top: int) -> None:
         """Draw name, time, distance and voltages of a stage below it."""
-        draw, middle = self._pygame.draw, 300
+        draw, middle, small = self._pygame.draw, 300, self._model.machine.axis_unit.small
         self.window.blit(self._font.render(stage.name, True, INK), (left, top + 4))
-        result, tone = f"{stage.elapsed_s:.2f} s, {1e3 * stage.distance:.2f} mm from the target", INK
+        result, tone = f"{stage.elapsed_s:.2f} s, {1e3 * stage.distance:.2f} {small} from the target", INK
         if stage.settled_s is not None:
             band = 1e3 * stage.env.batch.task.band
-            result, tone = f"within {band:g} mm since {stage.settled_s:.2f} s", GOOD
+            result, tone = f"within {band:g} {small} since {stage.settled_s:.2f} s", GOOD
         self.window.blit(self._small.render(result, True, tone), (left, top + 32))
         for j, (volts, rated) in enumerate(zip(stage.volts, stage.rated, strict=True)):
             row, half = top + 8 + 24 * j, 70  # pixels

@@ -10,14 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..atomic_files import atomic_file
+from ..machine import AxisUnit
 from ..web_page import SERIES, Panel, color, legend_above, number, plot_style
-from .metrics import BANDS, BOUND_BAND, settling_times
+from .metrics import settling_times, unit_of_scores
 from .scenario import Episodes
 
-SMALLEST_ERROR_MM = 1e-3  # mm, lower end of the logarithmic error axis of a plot
-BAND_TEXTS = {
-    name: f"{1e3 * band:g} mm" for name, band in BANDS.items()
-}  # settling bands as written for readers
+SMALLEST_ERROR_MM = 1e-3  # mm or mrad, lower end of the logarithmic error axis of a plot
 
 
 def plot_episode(episodes: Episodes, episode: int = 0, *, title: str = "") -> Any:
@@ -66,8 +64,8 @@ def _plot_path(axes: Any, episodes: Episodes, episode: int) -> None:
     position, goal = 1e3 * episodes.position[episode], 1e3 * episodes.goal[episode]
     if position.shape[1] == 1:
         axes.plot(episodes.time_s, position[:, 0], lw=1.2, label="tool")
-        axes.axhline(goal[-1, 0], color=color("muted"), lw=0.7, ls="--", label="goal")
-        axes.set(xlabel="time (s)", ylabel="position (mm)")
+        axes.plot(episodes.time_s, goal[:, 0], color=color("muted"), lw=0.7, ls="--", label="goal")
+        axes.set(xlabel="time (s)", ylabel=f"position ({episodes.unit.small})")
         legend_above(axes)
         return
     if episodes.contour is not None:
@@ -76,7 +74,8 @@ def _plot_path(axes: Any, episodes: Episodes, episode: int) -> None:
     axes.plot(*position[0], "o", ms=4, label="start")
     if episodes.contour is None:
         axes.plot(*goal[-1], "x", ms=7, label="goal")
-    axes.set(xlabel="x (mm)", ylabel="y (mm)", aspect="equal", adjustable="datalim")
+    small = episodes.unit.small
+    axes.set(xlabel=f"x ({small})", ylabel=f"y ({small})", aspect="equal", adjustable="datalim")
     legend_above(axes)
 
 
@@ -88,19 +87,17 @@ def _plot_error(axes: Any, episodes: Episodes, episode: int) -> None:
         contour_mm = 1e3 * episodes.contour[episode]
         axes.semilogy(time_s, np.maximum(contour_mm, SMALLEST_ERROR_MM), lw=1.2, label="to the path")
         legend_above(axes)
-    _mark_bands(axes, time_s[-1])
-    axes.set(
-        xlabel="time (s)", ylabel="distance to the goal (mm)" if episodes.contour is None else "distance (mm)"
-    )
+    _mark_bands(axes, time_s[-1], episodes.unit)
+    to_goal = " to the goal" if episodes.contour is None else ""
+    axes.set(xlabel="time (s)", ylabel=f"distance{to_goal} ({episodes.unit.small})")
 
 
-def _mark_bands(axes: Any, end_s: float) -> None:
+def _mark_bands(axes: Any, end_s: float, unit: AxisUnit) -> None:
     """Draw the settling bands as horizontal lines that are named at their right end, and label the axis in mm."""
-    for name, band in BANDS.items():
-        axes.axhline(1e3 * band, color=color("muted"), lw=0.7, ls="--")
-        axes.annotate(
-            BAND_TEXTS[name], (end_s, 1e3 * band), ha="right", va="bottom", fontsize=7, color=color("muted")
-        )
+    for name, text in unit.band_texts.items():
+        height = 1e3 * unit.bands[name]
+        axes.axhline(height, color=color("muted"), lw=0.7, ls="--")
+        axes.annotate(text, (end_s, height), ha="right", va="bottom", fontsize=7, color=color("muted"))
     axes.yaxis.set_major_formatter(lambda value, _: number(value))
     axes.minorticks_off()
 
@@ -135,8 +132,9 @@ def episode_panels(name: str, episodes: Episodes, episode: int) -> list[Panel]:
     """
     start, goal = 1e3 * episodes.position[episode, 0], 1e3 * episodes.goal[episode, -1]
     final_mm = 1e3 * float(episodes.goal_error[episode, -1])
-    route = f"from {_point(start)} mm"
-    route += f" to the goal at {_point(goal)} mm" if episodes.contour is None else " along the path"
+    small = episodes.unit.small
+    route = f"from {_point(start)} {small}"
+    route += f" to the goal at {_point(goal)} {small}" if episodes.contour is None else " along the path"
     largest = float(np.abs(episodes.volts[episode]).max())
     return [
         Panel(
@@ -147,7 +145,7 @@ def episode_panels(name: str, episodes: Episodes, episode: int) -> list[Panel]:
         ),
         Panel(
             f"{name}: distance to the goal",
-            f"Distance of the tool to its goal over time under {name}, {number(final_mm)} mm at the end.",
+            f"Distance of the tool to its goal over time under {name}, {number(final_mm)} {small} at the end.",
             lambda a: _plot_error(a, episodes, episode),
             2.6,
         ),
@@ -162,16 +160,18 @@ def episode_panels(name: str, episodes: Episodes, episode: int) -> list[Panel]:
 
 def distance_panel(recorded: Mapping[str, Episodes]) -> Panel:
     """Describe a plot for the scorecard: distances to the goal in the first episode, mm, one curve per controller."""
+    unit = next(iter(recorded.values())).unit
 
     def draw(axes: Any) -> None:
         for name, episodes in recorded.items():
             error_mm = np.maximum(1e3 * episodes.goal_error[0], SMALLEST_ERROR_MM)
             axes.semilogy(episodes.time_s, error_mm, lw=1.2, label=name)
-        _mark_bands(axes, float(next(iter(recorded.values())).time_s[-1]))
-        axes.set(xlabel="time (s)", ylabel="distance to the goal (mm)")
+        _mark_bands(axes, float(next(iter(recorded.values())).time_s[-1]), unit)
+        axes.set(xlabel="time (s)", ylabel=f"distance to the goal ({unit.small})")
         legend_above(axes)
 
-    ends = ", ".join(f"{name} {number(1e3 * float(e.goal_error[0, -1]))} mm" for name, e in recorded.items())
+    errors = {name: 1e3 * float(episodes.goal_error[0, -1]) for name, episodes in recorded.items()}
+    ends = ", ".join(f"{name} {number(error)} {unit.small}" for name, error in errors.items())
     return Panel(
         "Distance to the goal in the first episode", f"Distance over time; at the end: {ends}.", draw, 2.6
     )
@@ -186,19 +186,20 @@ def distribution_panel(recorded: Mapping[str, Episodes]) -> Panel:
     Args:
         recorded: Recorded episodes by name of the controller.
     """
-    path = next(iter(recorded.values())).contour is not None
+    first = next(iter(recorded.values()))
+    path, unit = first.contour is not None, first.unit
     curves, texts = {}, []
     for name, episodes in recorded.items():
         if episodes.contour is not None:
             values = np.sort(1e3 * np.sqrt(np.mean(episodes.contour**2, axis=1)))
         else:
-            times, success = settling_times(episodes.goal_error, episodes.time_s, BANDS[BOUND_BAND])
+            times, success = settling_times(episodes.goal_error, episodes.time_s, unit.bound_size)
             values = np.sort(times[success])
         curves[name] = values, 100.0 * np.arange(1, len(values) + 1) / len(episodes.position)
         if len(values):
             spread = "to".join(f" {number(float(q))} " for q in np.quantile(values, (0.05, 0.5, 0.95)))
             texts.append(f"{name}{spread}".rstrip())
-    what = "rms contour error, mm" if path else f"settling time to {BAND_TEXTS[BOUND_BAND]}, s"
+    what = f"rms contour error, {unit.small}" if path else f"settling time to {unit.band_texts[unit.bound_band]}, s"
 
     def draw(axes: Any) -> None:
         for name, (values, fractions) in curves.items():
@@ -251,7 +252,8 @@ def success_panel(title: str, success: Mapping[str, Mapping[str, float]]) -> Pan
         title: Caption.
         success: By name of the controller, the fraction of successful episodes, 0 to 1, by name of the settling band.
     """
-    bands = list(BANDS)
+    texts = unit_of_scores(next(iter(success.values()))).band_texts
+    bands = list(texts)
 
     def draw(axes: Any) -> None:
         height = 0.8 / len(success)
@@ -262,7 +264,7 @@ def success_panel(title: str, success: Mapping[str, Mapping[str, float]]) -> Pan
             axes.bar_label(bars, fmt="%.0f", padding=2, fontsize=7)
         axes.set(
             yticks=range(len(bands)),
-            yticklabels=list(BAND_TEXTS.values()),
+            yticklabels=list(texts.values()),
             xlim=(0, 112),
             xlabel="% of the episodes",
         )
@@ -271,7 +273,7 @@ def success_panel(title: str, success: Mapping[str, Mapping[str, float]]) -> Pan
         legend_above(axes)
 
     values = "; ".join(
-        f"{name}: " + ", ".join(f"{100 * by_band[band]:.1f} % within {BAND_TEXTS[band]}" for band in bands)
+        f"{name}: " + ", ".join(f"{100 * by_band[band]:.1f} % within {text}" for band, text in texts.items())
         for name, by_band in success.items()
     )
     return Panel(title, f"{title}. {values}.", draw, 1.3 + 0.4 * len(success))

@@ -168,14 +168,15 @@ class _Recorder:
         loads = _Loads(machine, self.envs.parameters)
         rated = np.array([d.rated_voltage for d in machine.drives])
         position, goal = np.empty((2, count, samples, len(machine.tool_axes)))
-        contour = np.empty((count, samples)) if "contour_m" in info else None
+        contour_key = self.envs.batch.contour_key
+        contour = np.empty((count, samples)) if contour_key in info else None
         volts = np.empty((count, scenario.periods, len(rated)))
         energy, peak = np.zeros(count), np.zeros(count)
 
         def record(sample: int) -> None:
             position[:, sample], goal[:, sample] = simulator.tool_positions(), observation["desired_goal"]
             if contour is not None:
-                contour[:, sample] = info["contour_m"]
+                contour[:, sample] = info[contour_key]
 
         controller.reset()
         record(0)
@@ -192,7 +193,7 @@ class _Recorder:
             peak = np.maximum(peak, loads.largest_tension(in_period))
             travel = travel[-1:]
         time_s = self.sample_s * np.arange(samples, dtype=np.float64)
-        return Episodes(time_s, position, goal, contour, volts, rated, energy, peak)
+        return Episodes(time_s, position, goal, contour, volts, rated, energy, peak, machine.axis_unit)
 
 
 class _Loads:
@@ -269,10 +270,9 @@ def write_motions(path: str | Path, episodes: Episodes, machine: Machine, count:
     Raises:
         OSError: If the file cannot be written.
     """
-    axes = machine.tool_axes
-    names = (
-        [f"{axis}_m" for axis in axes] + [f"{axis}_goal_m" for axis in axes] + list(machine.input_channels)
-    )
+    axes, unit = machine.tool_axes, machine.axis_unit.name
+    names = [f"{axis}_{unit}" for axis in axes] + [f"{axis}_goal_{unit}" for axis in axes]
+    names += machine.input_channels
     periods = np.minimum(np.arange(len(episodes.time_s)) // SAMPLES_PER_PERIOD, episodes.volts.shape[1] - 1)
     lines = [",".join(["episode", "time_s", *names])]
     for episode in range(min(count, len(episodes.position))):

@@ -37,7 +37,7 @@ from ..envs import (
 )
 from ..envs.environment_batch import EnvironmentBatch
 from ..errors import InputError
-from ..machine import Machine
+from ..machine import METERS, AxisUnit, Machine
 from ..registry import Registry, load_plugins, names_module
 
 LONGEST_EPISODE = 3600.0  # s
@@ -115,7 +115,7 @@ class Scenario:
 
         The preview extends as far, s, as that of the task. A task without preview is returned unchanged.
         """
-        task = as_task(self.task)
+        task = as_task(self.task, self.declared_machine.axis_unit)
         if not (dataclasses.is_dataclass(task) and hasattr(task, "previews") and hasattr(task, "preview_s")):
             return task
         previews = max(1, round(task.previews * task.preview_s / self.period))
@@ -126,6 +126,8 @@ class Scenario:
 class Episodes:
     """Recorded episodes of one controller: B episodes of n samples and m control periods.
 
+    Positions and distances are in m, or in rad for rotary axes (`unit`).
+
     Attributes:
         time_s: Sample times, s, shape (n,).
         position: True tool position, m, shape (B, n, axes).
@@ -135,6 +137,7 @@ class Episodes:
         rated: Rated voltages, V, shape (drives,).
         energy_J: Energy from the supply minus energy fed back, J, shape (B,).
         peak_belt_force_N: Largest difference between a belt's tension and its pretension, N, shape (B,).
+        unit: Unit of the tool position.
     """
 
     time_s: Array
@@ -145,6 +148,7 @@ class Episodes:
     rated: Array
     energy_J: Array
     peak_belt_force_N: Array
+    unit: AxisUnit = METERS
 
     @property
     def goal_error(self) -> Array:

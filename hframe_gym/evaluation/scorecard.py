@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from ..machine import AXIS_UNITS, AxisUnit
 from ..web_page import Panel, number, write_page
 from .advice import assumptions, next_steps, worst_move
-from .metrics import BANDS, BOUND_BAND, mean_with_interval, ranked_episodes, settling_times
+from .metrics import mean_with_interval, ranked_episodes, settling_times, unit_of_scores
 from .plots import (
-    BAND_TEXTS,
     distance_panel,
     distribution_panel,
     episode_panels,
@@ -21,8 +21,8 @@ from .protocol_results import settling_or_none
 from .scenario import Episodes
 
 _FURTHER_METRICS = {  # column headings of the metrics that all tasks have
-    "overshoot_mm": "overshoot, mm",
-    "final_error_mm": "error at the end, mm",
+    **{f"overshoot_{unit.small}": f"overshoot, {unit.small}" for unit in AXIS_UNITS.values()},
+    **{f"final_error_{unit.small}": f"error at the end, {unit.small}" for unit in AXIS_UNITS.values()},
     "delay_ms": "delay behind the goal, ms",
     "energy_J": "energy, J",
     "voltage_variation": "voltage variation, V",
@@ -30,7 +30,7 @@ _FURTHER_METRICS = {  # column headings of the metrics that all tasks have
     "peak_belt_force_N": "peak belt force, N",
 }
 _FACTORS = {"saturation_share": 100.0}
-_PATH_ERRORS = {"contour_mm": "contour error", "tracking_mm": "tracking error"}
+_PATH_ERRORS = {"contour": "contour error", "tracking": "tracking error"}
 
 
 def write_scorecard(
@@ -58,7 +58,9 @@ def write_scorecard(
     """
     recorded, controllers = recorded or {}, scores["controllers"]
     reaches = all("settling_s" in score for score in controllers.values())
-    verdict = _reach_verdict(scores, recorded) if reaches else _track_verdict(scores)
+    known = (score["success"] for score in controllers.values() if "success" in score)
+    unit = unit_of_scores(next(known, ()))
+    verdict = _reach_verdict(scores, recorded, unit) if reaches else _track_verdict(scores, unit)
     all_warnings = list(dict.fromkeys([*scores.get("warnings", ()), *warnings]))
     worst = worst_move(recorded[verdict.best]) if verdict.best and verdict.best in recorded else ""
     reasons = [score.get("over_bound_reason") for score in controllers.values()]
@@ -76,11 +78,12 @@ def write_scorecard(
         ),
         "bound_reasons": list(dict.fromkeys(reason for reason in reasons if reason)),
         "reaches": reaches,
-        "bands": list(BAND_TEXTS.values()),
-        "bound_band": BAND_TEXTS[BOUND_BAND],
-        "rows": [_row(name, score, reaches) for name, score in controllers.items()],
+        "bands": list(unit.band_texts.values()),
+        "bound_band": unit.band_texts[unit.bound_band],
+        "small_unit": unit.small,
+        "rows": [_row(name, score, reaches, unit) for name, score in controllers.items()],
         "further": _further_metrics(controllers),
-        "panels": _panels(controllers, recorded, reaches),
+        "panels": _panels(controllers, recorded, reaches, unit),
         "episodes": {name: _median_and_worst(name, episodes) for name, episodes in recorded.items()},
     }
     path = Path(folder) / "scorecard.html"
@@ -113,28 +116,26 @@ def _median_and_worst(name: str, episodes: Episodes) -> list[Panel]:
     ]
 
 
-def _reach_verdict(scores: Mapping[str, Any], recorded: Mapping[str, Episodes]) -> _Verdict:
+def _reach_verdict(
+    scores: Mapping[str, Any], recorded: Mapping[str, Episodes], unit: AxisUnit
+) -> _Verdict:
     """Return the fastest of the most successful controllers."""
-    controllers = scores["controllers"]
+    controllers, band = scores["controllers"], unit.bound_band
+    text = unit.band_texts[band]
     ranked = sorted(
         controllers,
-        key=lambda n: (
-            -controllers[n]["success"][BOUND_BAND],
-            controllers[n]["settling_s"][BOUND_BAND]["mean"],
-        ),
+        key=lambda n: (-controllers[n]["success"][band], controllers[n]["settling_s"][band]["mean"]),
     )
     best = controllers[ranked[0]]
-    success, settling = best["success"][BOUND_BAND], _settling(best)
+    success, settling = best["success"][band], _settling(best, band)
     if settling is None:
-        sentence = (
-            f"No controller comes to rest within {BAND_TEXTS[BOUND_BAND]} of its goal in any of the episodes."
-        )
+        sentence = f"No controller comes to rest within {text} of its goal in any of the episodes."
         return _Verdict(None, "warning", [sentence])
     sentences = [
-        f"{ranked[0]} comes to rest within {BAND_TEXTS[BOUND_BAND]} of the goal in {100 * success:.1f} % of the "
+        f"{ranked[0]} comes to rest within {text} of the goal in {100 * success:.1f} % of the "
         f"episodes, after {settling['mean']:.3f} s on average (95 % interval {_interval(settling, '.3f')} s)."
     ]
-    ratio = _bound_ratio(best)
+    ratio = _bound_ratio(best, band)
     if ratio:
         sentences.append(f"This is {ratio['mean']:.2f} times the shortest possible time.")
     equal = None
@@ -147,7 +148,7 @@ def _reach_verdict(scores: Mapping[str, Any], recorded: Mapping[str, Episodes]) 
 
 def _difference(best: Episodes, second: Episodes, seed: int) -> dict[str, Any]:
     """Return by how much the second best controller settles later in the same episodes, s, with its interval."""
-    times = [settling_times(e.goal_error, e.time_s, BANDS[BOUND_BAND])[0] for e in (second, best)]
+    times = [settling_times(e.goal_error, e.time_s, e.unit.bound_size)[0] for e in (second, best)]
     return mean_with_interval(times[0] - times[1], seed)
 
 
@@ -165,34 +166,35 @@ def _difference_sentence(name: str, difference: Mapping[str, Any]) -> str:
     return f"In the same episodes {name} is {abs(difference['mean']):.3f} s {word} ({interval} of the difference)."
 
 
-def _track_verdict(scores: Mapping[str, Any]) -> _Verdict:
+def _track_verdict(scores: Mapping[str, Any], unit: AxisUnit) -> _Verdict:
     """Return the controller with the smallest contour error."""
-    controllers = {n: s for n, s in scores["controllers"].items() if "contour_mm" in s}
+    key, small = f"contour_{unit.small}", unit.small
+    controllers = {n: s for n, s in scores["controllers"].items() if key in s}
     if not controllers:
         return _Verdict(
             next(iter(scores["controllers"])),
             "neutral",
             ["The table compares the controllers on the same episodes."],
         )
-    best = min(controllers, key=lambda n: controllers[n]["contour_mm"]["rms"]["mean"])
-    contour = controllers[best]["contour_mm"]
+    best = min(controllers, key=lambda n: controllers[n][key]["rms"]["mean"])
+    contour = controllers[best][key]
     sentence = (
-        f"{best} follows the path with a contour error of {number(contour['rms']['mean'])} mm rms (95 % interval "
-        f"{_interval(contour['rms'], '.3g')} mm) and {number(contour['max']['mean'])} mm at most, means over the "
-        "episodes."
+        f"{best} follows the path with a contour error of {number(contour['rms']['mean'])} {small} rms (95 % "
+        f"interval {_interval(contour['rms'], '.3g')} {small}) and {number(contour['max']['mean'])} {small} at most, "
+        "means over the episodes."
     )
     return _Verdict(best, "good", [sentence])
 
 
-def _settling(score: Mapping[str, Any], band: str = BOUND_BAND) -> Mapping[str, Any] | None:
-    """Return the settling times in a band, by default that of the time-optimal bounds; None if no episode settles."""
+def _settling(score: Mapping[str, Any], band: str) -> Mapping[str, Any] | None:
+    """Return the settling times in a band; None if no episode settles."""
     times: Mapping[str, Any] | None = settling_or_none(score["success"][band], score["settling_s"][band])
     return times
 
 
-def _bound_ratio(score: Mapping[str, Any]) -> Mapping[str, Any] | None:
+def _bound_ratio(score: Mapping[str, Any], band: str) -> Mapping[str, Any] | None:
     """Return the ratio of mean settling time to mean bound with its interval, None without bounds."""
-    by_band = (score.get("over_bound") or {}).get(BOUND_BAND) or {}
+    by_band = (score.get("over_bound") or {}).get(band) or {}
     ratio: Mapping[str, Any] | None = by_band.get("ratio_of_means")
     return ratio
 
@@ -214,22 +216,27 @@ def _cell(value: Mapping[str, Any] | None, form: str = ".3g", factor: float = 1.
     }
 
 
-def _row(name: str, score: Mapping[str, Any], reaches: bool) -> dict[str, Any]:
+def _row(name: str, score: Mapping[str, Any], reaches: bool, unit: AxisUnit) -> dict[str, Any]:
     """Return one controller's row of the main table."""
     if reaches:
-        times = [_settling(score, band) for band in BANDS]
-        cells = [_cell(value, ".3f") for value in (*times, _bound_ratio(score))]
+        times = [_settling(score, band) for band in unit.bands]
+        cells = [_cell(value, ".3f") for value in (*times, _bound_ratio(score, unit.bound_band))]
     else:
         cells = [
             _cell(score[key][kind]) if key in score else _cell(None)
-            for key in _PATH_ERRORS
+            for key in _path_keys(unit)
             for kind in ("rms", "max")
         ]
     return {
         "name": name,
-        "success": [f"{100 * score['success'][band]:.1f}" for band in BANDS],
+        "success": [f"{100 * score['success'][band]:.1f}" for band in unit.bands],
         "cells": cells,
     }
+
+
+def _path_keys(unit: AxisUnit) -> dict[str, str]:
+    """Return the keys of the errors along a path in scores, with their names for readers."""
+    return {f"{key}_{unit.small}": title for key, title in _PATH_ERRORS.items()}
 
 
 def _further_metrics(controllers: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
@@ -243,23 +250,26 @@ def _further_metrics(controllers: Mapping[str, Mapping[str, Any]]) -> dict[str, 
 
 
 def _panels(
-    controllers: Mapping[str, Mapping[str, Any]], recorded: Mapping[str, Episodes], reaches: bool
+    controllers: Mapping[str, Mapping[str, Any]],
+    recorded: Mapping[str, Episodes],
+    reaches: bool,
+    unit: AxisUnit,
 ) -> list[Panel]:
     """Return the plots that compare the controllers."""
     success = {name: score["success"] for name, score in controllers.items()}
     if not reaches:
         panels = [success_panel("Episodes whose contour error never exceeds a limit", success)]
-        for key, title in _PATH_ERRORS.items():
+        for key, title in _path_keys(unit).items():
             values = {
                 name: score[key]["rms"] if key in score else None for name, score in controllers.items()
             }
-            panels.append(interval_panel(f"{title.capitalize()}, rms", "mm", values))
+            panels.append(interval_panel(f"{title.capitalize()}, rms", unit.small, values))
     else:
         panels = [success_panel("Episodes that end within a band around the goal", success)]
-        values = {name: _settling(score) for name, score in controllers.items()}
+        values = {name: _settling(score, unit.bound_band) for name, score in controllers.items()}
         if any(values.values()):
-            panels.append(interval_panel(f"Settling time to {BAND_TEXTS[BOUND_BAND]}", "s", values))
-        ratios = {name: _bound_ratio(score) for name, score in controllers.items()}
+            panels.append(interval_panel(f"Settling time to {unit.band_texts[unit.bound_band]}", "s", values))
+        ratios = {name: _bound_ratio(score, unit.bound_band) for name, score in controllers.items()}
         if any(ratios.values()):
             panels.append(interval_panel("Settling time / shortest possible time", "", ratios))
     return panels + ([distribution_panel(recorded), distance_panel(recorded)] if recorded else [])

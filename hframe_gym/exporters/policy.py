@@ -119,8 +119,8 @@ def _network(agent: Any) -> tuple[Any, list[str], tuple[Any, ...]]:
             if mapping is None:
                 return output
             state, goal = observation["observation"], observation["desired_goal"]
-            distance = torch.linalg.vector_norm(goal - state[:, : goal.shape[1]], dim=1)
-            speed = torch.linalg.vector_norm(state[:, mapping.tool_speeds], dim=1)
+            distance = mapping.meters * torch.linalg.vector_norm(goal - state[:, : goal.shape[1]], dim=1)
+            speed = mapping.meters * torch.linalg.vector_norm(state[:, mapping.tool_speeds], dim=1)
             action: torch.Tensor = mapping.combine(output, distance, speed, observation["last_action"])
             return action.clip(-1.0, 1.0)
 

@@ -3,6 +3,7 @@
 This package holds no integrator and reads no files.
 """
 
+from .axis_unit import ARM, AXIS_UNITS, DEFAULT_TURNS, METERS, RADIANS, AxisUnit
 from .components import (
     DRIVE_KINDS,
     FIXED_UNITS,
@@ -33,24 +34,41 @@ from .motion import (
     rigid_motions,
 )
 from .presets import BUILTIN_MACHINES, with_constant_stiffness
-from .stage_geometry import BeltGeometry, Box, CoreXYGeometry, Point, StageGeometry, stage_geometry
+from .stage_geometry import (
+    BeltGeometry,
+    Box,
+    CoreXYGeometry,
+    DialGeometry,
+    Point,
+    StageGeometry,
+    drawn_point,
+    position_of_point,
+    stage_geometry,
+)
 from .trajectory import SIMULATORS, Simulator, Trajectory
 
 __all__ = [
+    "ARM",
+    "AXIS_UNITS",
     "BUILTIN_MACHINES",
+    "DEFAULT_TURNS",
     "DRIVE_KINDS",
     "FIXED_UNITS",
     "HOOKS",
+    "METERS",
+    "RADIANS",
     "SENSOR_KINDS",
     "SIMULATORS",
     "UNITS",
     "AppliedEffect",
+    "AxisUnit",
     "Belt",
     "BeltGeometry",
     "Box",
     "Coordinate",
     "CoordinateKind",
     "CoreXYGeometry",
+    "DialGeometry",
     "Drive",
     "DriveKind",
     "DriveLaw",
@@ -70,8 +88,10 @@ __all__ = [
     "Uncertainty",
     "argument_names",
     "draw_machine",
+    "drawn_point",
     "motion_limits",
     "observed_coordinates",
+    "position_of_point",
     "pulley_names",
     "rest_positions_per_axis",
     "rest_state",

@@ -39,6 +39,7 @@ UNITS: dict[CoordinateKind, dict[str, str]] = {
         "drag": "Ns^2/m^2",
         "rad/position": "rad/m",
         "acceleration": "m/s^2",
+        "s/position": "s/m",
     },
     "rotary": {
         "position": "rad",
@@ -51,6 +52,7 @@ UNITS: dict[CoordinateKind, dict[str, str]] = {
         "drag": "Nms^2",
         "rad/position": "1",
         "acceleration": "rad/s^2",
+        "s/position": "s/rad",
     },
 }
 # Units of parameters that are the same for linear and rotary coordinates.
@@ -81,7 +83,8 @@ class Coordinate:
         viscous: Viscous friction coefficient, Ns/m or Nms.
         coulomb: Coulomb friction force, N, or torque, Nm.
         kind: "linear" (a carriage) or "rotary" (a pulley).
-        radius: Pitch radius of the pulley, m. It has no meaning for a linear coordinate.
+        radius: Pitch radius of the pulley, m. It has no meaning for a linear coordinate. If no belt runs on a rotary
+            one, it does not influence the motion, and `ARM` is a choice as good as any.
         range: Lowest and highest position, m or rad. None if the coordinate is not limited.
     """
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
+from .axis_unit import ARM, DEFAULT_TURNS, RADIANS
 from .components import Row
 from .machine import Machine
-from .stage_geometry import DEFAULT_RANGE, Box, Point, StageGeometry, stage_geometry
+from .stage_geometry import DEFAULT_RANGE, Box, Point, StageGeometry, drawn_point, stage_geometry
 
 _RAIL, _BODY, _CART, _INK = "#d6d9de", "#b0b7c1", "#5c6778", "#2c323c"
 _COLORS = ("#d1495b", "#2b6cc4", "#2a7f62", "#ee8c14", "#7b4fa3", "#4f8a8b", "#a0522d", "#c2185b", "#6b8e23")
@@ -41,7 +43,9 @@ def draw_machine(machine: Machine) -> Any:
     figure = Figure(figsize=(_VIEW_WIDTH + table_width, height), layout="constrained")
     view, table = figure.subplots(1, 2, width_ratios=(_VIEW_WIDTH, table_width))
     linear = [c for c in machine.coordinates if c.kind == "linear"]
-    if len(machine.tool_axes) == 2:
+    if machine.axis_unit is RADIANS:
+        _draw_dials(view, machine)
+    elif len(machine.tool_axes) == 2:
         _draw_stage(view, machine, stage_geometry(machine))
     elif len(linear) == 1:
         _draw_axis(view, machine, linear[0].name)
@@ -114,6 +118,31 @@ def _draw_axis(view: Any, machine: Machine, name: str) -> None:
     view.set(xlabel=f"{name}, m" + ("" if limited else " (no range is declared)"), yticks=[])
     view.set_aspect("equal")
     view.set(xlim=(low - 0.12 * span, high + 0.12 * span), ylim=(-0.3 * span, 0.3 * span))
+
+
+def _draw_dials(view: Any, machine: Machine) -> None:
+    """Draw the rotary axes along their shafts, one beside the other: positive direction, range and drives."""
+    from matplotlib.patches import Arc
+
+    for k, (name, limits) in enumerate(zip(machine.tool_axes, machine.axis_ranges, strict=True)):
+        center = (3.0 * ARM * k, 0.0)
+        _circle(view, center, 0.15 * ARM, _CART)
+        tip = drawn_point(RADIANS, (0.5,))
+        view.plot([center[0], center[0] + tip[0]], [0.0, tip[1]], color=_CART, lw=4, solid_capstyle="round")
+        view.add_patch(Arc(center, 2.4 * ARM, 2.4 * ARM, theta1=30.0, theta2=120.0, color=_INK, lw=1.2))
+        end = (center[0] + 1.2 * ARM * math.cos(2.09), 1.2 * ARM * math.sin(2.09))
+        arrow = {"arrowstyle": "->", "color": _INK, "lw": 1.2}
+        view.annotate("", (end[0] - 0.1 * ARM, end[1] - 0.07 * ARM), end, arrowprops=arrow)
+        view.text(center[0], 1.35 * ARM, f"{name}, positive voltage", ha="center", fontsize=8)
+        drives = [f"{d.name} (gear {d.gear_ratio:.4g})" for d in machine.drives if d.coordinate == name]
+        low, high = limits or DEFAULT_TURNS
+        declared = "" if machine.coordinate(name).range is not None else ", no range is declared"
+        text = f"{', '.join(drives)}\n{low:.3g} to {high:.3g} rad{declared}"
+        view.text(center[0], -0.5 * ARM, text, ha="center", va="top", fontsize=8)
+        view.update_datalim([(center[0] - 1.4 * ARM, -1.1 * ARM), (center[0] + 1.4 * ARM, 1.5 * ARM)])
+    view.autoscale_view()
+    view.set_aspect("equal")
+    view.axis("off")
 
 
 def _draw_factors(axes: Any, machine: Machine) -> None:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..arrays import Array
+from .axis_unit import DEFAULT_TURNS, METERS, RADIANS, AxisUnit
 from .components import (
     DRIVE_KINDS,
     FIXED_UNITS,
@@ -182,14 +183,40 @@ class Machine:
 
     @cached_property
     def tool_axes(self) -> tuple[str, ...]:
-        """Names of the linear coordinates that give the tool position, in the order of its axes.
+        """Names of the controlled axes: the coordinates that give the tool position, in the order of its axes.
 
         With one or two linear coordinates: all of them. With more: ("x", "y"), or () if one of these names is missing.
+        Without linear coordinates, the one or two rotary coordinates that no drive moves directly (a load behind an
+        elastic belt), or else those that the drives move; () if there are not as many of either as drives.
         """
         linear = tuple(c.name for c in self.coordinates if c.kind == "linear")
         if len(linear) > 2:
             return ("x", "y") if {"x", "y"} <= set(linear) else ()
-        return linear
+        if linear:
+            return linear
+        driven = {d.coordinate for d in self.drives}
+        free = [name for name in self.coordinate_names if name not in self.spring_loaded]
+        for names in ([n for n in free if n not in driven], [n for n in free if n in driven]):
+            if names and len(names) == len(self.drives) <= 2:
+                return tuple(names)
+        return ()
+
+    @cached_property
+    def axis_unit(self) -> AxisUnit:
+        """Unit of the tool position: meters, or radians if the controlled axes are rotary."""
+        rotary = bool(self.tool_axes) and self.coordinate(self.tool_axes[0]).kind == "rotary"
+        return RADIANS if rotary else METERS
+
+    @cached_property
+    def axis_ranges(self) -> tuple[tuple[float, float] | None, ...]:
+        """Lowest and highest position of each controlled axis, in its unit: the declared range of its coordinate.
+
+        A rotary axis without one has `DEFAULT_TURNS`, one turn to either side of zero. It is None for a linear axis
+        without range.
+        """
+        declared = [self.coordinate(name).range for name in self.tool_axes]
+        default = DEFAULT_TURNS if self.axis_unit is RADIANS else None
+        return tuple(default if limits is None else limits for limits in declared)
 
     @cached_property
     def spring_loaded(self) -> tuple[str, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,17 +46,22 @@ def rest_state(machine: Machine, position: ArrayLike | None = None) -> Array:
     Raises:
         ValueError: If there are several positions, but not one per linear coordinate.
     """
-    count = len(machine.coordinates)
-    q = np.zeros(count)  # positions of all coordinates
     linear = [i for i, c in enumerate(machine.coordinates) if c.kind == "linear"]
-    if position is not None:
-        q[linear] = np.asarray(position, float)
+    q = _unstretched(machine, linear, 0.0 if position is None else position)
+    return np.concatenate([q, np.zeros(len(q))])
+
+
+def _unstretched(machine: Machine, leaders: Sequence[int], position: ArrayLike) -> Array:
+    """Return the positions (coordinates,) in which the pulleys follow the leading coordinates without stretch."""
+    q = np.zeros(len(machine.coordinates))
+    q[leaders] = np.asarray(position, float)
     pulleys = [machine.coordinate_names.index(name) for name in pulley_names(machine)]
-    if pulleys and machine.belts:
-        # Zero extension of every belt: G[:, pulleys] @ angles = -G[:, linear] @ positions.
+    followers = [i for i in pulleys if i not in leaders]
+    if followers and machine.belts:
+        # Zero extension of every belt: G[:, followers] @ angles = -G[:, leaders] @ positions.
         G = machine.belt_matrix
-        q[pulleys] = np.linalg.lstsq(G[:, pulleys], -G[:, linear] @ q[linear], rcond=None)[0]
-    return np.concatenate([q, np.zeros(count)])
+        q[followers] = np.linalg.lstsq(G[:, followers], -G[:, leaders] @ q[leaders], rcond=None)[0]
+    return q
 
 
 def rest_positions_per_axis(machine: Machine) -> Array:
@@ -64,12 +70,14 @@ def rest_positions_per_axis(machine: Machine) -> Array:
     Where the tool is at p, the positions in `rest_state` are this matrix times p.
 
     Returns:
-        Positions of all coordinates at rest per meter of each tool axis, m/m or rad/m, shape (coordinates, axes).
+        Positions of all coordinates at rest per position of each tool axis, m or rad per m or rad, shape (coordinates,
+        axes).
     """
-    linear = [c.name for c in machine.coordinates if c.kind == "linear"]
-    positions = np.zeros((len(machine.coordinates), len(machine.tool_axes)))
-    for column, axis in enumerate(machine.tool_axes):
-        positions[:, column] = rest_state(machine, [float(name == axis) for name in linear])[: len(positions)]
+    tool = [machine.coordinate_names.index(axis) for axis in machine.tool_axes]
+    others = [i for i, c in enumerate(machine.coordinates) if c.kind == "linear" and i not in tool]
+    positions = np.zeros((len(machine.coordinates), len(tool)))
+    for column, row in enumerate(np.eye(len(tool))):
+        positions[:, column] = _unstretched(machine, [*tool, *others], [*row, *(0.0 for _ in others)])
     return positions
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import override
 
+from .axis_unit import ARM, RADIANS, AxisUnit
 from .machine import Machine
 from .motion import pulley_names, rigid_motions
 
@@ -124,6 +125,63 @@ class StageGeometry:
         """
         del x, y
         return {}
+
+
+class DialGeometry(StageGeometry):
+    """View of a rotary axis along its shaft: an arm of 0.1 m (`ARM`) with the tool at its end."""
+
+    def __init__(self) -> None:
+        """Create the view; angles count counterclockwise from the right."""
+        super().__init__(np.array([(-ARM, ARM), (-ARM, ARM)]), None)
+        self.motors = ((0, 1.0),)
+
+    @override
+    def rails(self) -> list[Box]:
+        return []
+
+    @override
+    def pulleys(self, x: float, y: float = 0.0) -> list[Point]:
+        """Return the shaft, which is drawn as a pulley."""
+        del x, y
+        return [(0.0, 0.0)]
+
+    @override
+    def sections(self, x: float, y: float) -> dict[str, list[Point]]:
+        """Return the arm."""
+        return {"arm": [(0.0, 0.0), (x, y)]}
+
+
+def drawn_point(unit: AxisUnit, position: Sequence[float]) -> Point:
+    """Return the point at which a drawing shows the tool: (x, 0) with one linear axis, the end of an arm with a rotary.
+
+    Two rotary axes are drawn like x and y, with 0.1 m for a rad.
+
+    Args:
+        unit: Unit of the axes.
+        position: Tool position along one or two axes, m or rad.
+    """
+    if unit is not RADIANS:
+        return position[0], position[1] if len(position) > 1 else 0.0
+    if len(position) == 1:
+        return ARM * math.cos(position[0]), ARM * math.sin(position[0])
+    return ARM * position[0], ARM * position[1]
+
+
+def position_of_point(unit: AxisUnit, point: Point, near: Sequence[float]) -> tuple[float, ...]:
+    """Return the tool position that a point of a drawing shows, the inverse of `drawn_point`.
+
+    Args:
+        unit: Unit of the axes.
+        point: Point (x, y), m.
+        near: Tool position along one or two axes, m or rad. Of the angles of a rotary axis that differ by turns, the
+            one nearest to it is returned.
+    """
+    if unit is not RADIANS:
+        return point[: len(near)]
+    if len(near) == 1:
+        angle = math.atan2(point[1], point[0])
+        return (angle + 2.0 * math.pi * round((near[0] - angle) / (2.0 * math.pi)),)
+    return point[0] / ARM, point[1] / ARM
 
 
 class BeltGeometry(StageGeometry):
@@ -298,7 +356,8 @@ def stage_geometry(machine: Machine) -> StageGeometry:
 
     Returns:
         `BeltGeometry` for an H-frame (one belt around both motors), `CoreXYGeometry` for a CoreXY stage (a belt for
-        each motor), else a `StageGeometry` without belts. An axis without a range is drawn from -0.25 m to 0.25 m.
+        each motor), a `DialGeometry` for a rotary axis, else a `StageGeometry` without belts. An axis without a range
+        is drawn from -0.25 m to 0.25 m.
 
     Raises:
         ValueError: If the machine has no tool axes.
@@ -306,6 +365,9 @@ def stage_geometry(machine: Machine) -> StageGeometry:
     axes = [machine.coordinate(name) for name in machine.tool_axes]
     if not axes:
         raise ValueError(f"machine {machine.name!r} has no tool axes")
+    if machine.axis_unit is RADIANS:
+        ranges = np.array([limits for limits in machine.axis_ranges if limits])
+        return DialGeometry() if len(axes) == 1 else StageGeometry(ARM * ranges)
     if len(axes) == 1:
         return StageGeometry(np.array([axes[0].range or DEFAULT_RANGE, (-0.05, 0.05)]), None)
     workspace = np.array([axis.range or DEFAULT_RANGE for axis in axes])

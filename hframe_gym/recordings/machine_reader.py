@@ -13,6 +13,7 @@ import numpy as np
 from ..effects import EFFECTS, effect_sites, get_effect
 from ..errors import InputError
 from ..machine import (
+    ARM,
     DRIVE_KINDS,
     FIXED_UNITS,
     SENSOR_KINDS,
@@ -193,13 +194,20 @@ class MachineReader:
     def _coordinate(self, entry: CoordinateEntry) -> Coordinate:
         """Return a coordinate."""
         field = f"coordinates.{entry.name}"
-        if (entry.radius is None) != (entry.kind == "linear"):
-            raise self._error(f"{field}.radius", "a rotary coordinate needs a radius, a linear one has none")
+        if entry.radius is not None and entry.kind == "linear":
+            raise self._error(f"{field}.radius", "a linear coordinate has none; delete it")
+        if entry.radius is None and any(entry.name in belt.extension for belt in self.content.belts):
+            raise self._error(
+                f"{field}.radius", "a rotary coordinate on which a belt runs needs its pitch radius"
+            )
         if entry.range is not None and not entry.range[0] < entry.range[1]:
             raise self._error(f"{field}.range", "must be [lowest, highest]")
         keys = [key for key in Coordinate.PARAMETERS if key != "radius" or entry.radius is not None]
         units = {key: Coordinate(entry.name, mass=0.0, kind=entry.kind).unit(key) for key in keys}
-        return Coordinate(entry.name, kind=entry.kind, range=entry.range, **self._values(field, entry, units))
+        values = self._values(field, entry, units)
+        if entry.kind == "rotary":
+            values.setdefault("radius", ARM)
+        return Coordinate(entry.name, kind=entry.kind, range=entry.range, **values)
 
     def _belt(self, entry: BeltEntry) -> Belt:
         """Return a belt."""

@@ -103,17 +103,19 @@ class CoordinateEntry(Table):
 
     Attributes:
         name: Name by which belts, drives, sensors and effects refer to the coordinate. The linear coordinates are the
-            axes of the tool in the environment, in the order of the file, whatever their names.
+            axes of the tool in the environment, in the order of the file, whatever their names. Without linear ones,
+            the rotary coordinates are, one for each drive.
         kind: "linear" (a carriage, positions in m) or "rotary" (a pulley, angles in rad).
         mass: Everything that moves with the coordinate: mass, kg, or moment of inertia, kg m^2. The rotor of a motor
             behind a gear counts gear_ratio^2 times its inertia.
         viscous: Viscous friction coefficient, Ns/m or Nms (per rad/s). Without the back-EMF of the motor.
         coulomb: Coulomb friction, N or Nm.
-        radius: Pitch radius of the pulley, m; required for a rotary coordinate, not allowed for a linear one. If no
-            belt runs on it (a servo with an arm), any length will do, such as that of the arm. It then has no influence
-            on the motion, but some messages state torques divided by it.
+        radius: Pitch radius of the pulley, m; required for a rotary coordinate on which a belt runs, not allowed for a
+            linear one. If no belt runs on it (a motor, a servo with an arm), leave it out: it has no influence on the
+            motion. Default: 0.1 m.
         range: Lowest and highest position [low, high], m or rad. Default: unlimited. The environment needs the ranges
-            of the linear coordinates, which are its workspace.
+            of linear coordinates, which are its workspace; that of a rotary axis without a range is one turn to either
+            side of zero.
     """
 
     name: Name

@@ -295,10 +295,10 @@ def test_a_machine_of_another_type_is_refused(machine):
             {"reward": lambda achieved: achieved},
             r"reward: a test call with \(achieved, desired\) failed: .*1 positional",
         ),
-        ({"task": Reach(band="1 mm")}, "band is '1 mm', it must be a positive number of meters"),
+        ({"task": Reach(band="1 mm")}, "band is '1 mm', it must be a positive number, m or rad"),
         ({"task": Reach(margin="a")}, "margin is 'a'"),
         ({"task": Reach(start="home")}, "start must be"),
-        ({"task": Track(margin="a")}, "margin of 'a' m does not fit"),
+        ({"task": Track(margin="a")}, "margin of 'a' does not fit"),
     ],
 )
 def test_options_of_a_wrong_type_are_refused(options, message):

@@ -93,7 +93,7 @@ def test_pictures_show_the_axis():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"machine": AXIS, "task": "track"}, "task track needs a machine that moves along x and y"),
+        ({"machine": AXIS, "task": Track(size=0.6)}, "a path 0.6 across with a margin of 0.02 does not fit"),
         (
             {"machine": AXIS, "sensors": "rig"},
             "encoder and laser would both measure x; choose sensors='machine'",
@@ -114,7 +114,7 @@ def test_what_cannot_work_is_refused_with_a_remedy(options, message):
 
 
 def test_positions_of_reset_must_be_in_the_range():
-    with pytest.raises(InputError, match=r"must be \(x,\) with x in \[-0.25, 0.25\] m"):
+    with pytest.raises(InputError, match=r"must be \(x,\) with x in \[-0.25, 0.25\], in m"):
         HFrameEnv(machine=AXIS).reset(options={"target": (0.3,)})
     with pytest.raises(InputError, match="needs a task with a path"):
         HFrameTrackEnv(machine="hframe", task="reach")

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import Any, ClassVar, Literal, TypeAlias
+from typing import Any, ClassVar, Literal, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...arrays import Array, ElapsedTimes, GoalPlans, Index, Workspace
 from ...errors import InputError
+from ...machine import METERS, AxisUnit
 from ...registry import Registry
 
 Metrics = Literal["reach", "track"]
@@ -34,7 +36,9 @@ class Task(ABC):
             "track" for a goal that moves along a path (contour and tracking errors), which needs `contour`.
         draws: Number of uniform random numbers per episode that `begin` uses.
         plan_size: Number of entries in a plan. Plans may be shorter for a machine with one axis.
-        band: Distance to the goal that counts as a success, m.
+        lengths: Names of the settings that are lengths or speeds along the axes. For a machine with rotary axes,
+            `as_task` converts their defaults to rad and rad/s at the end of an arm of 0.1 m.
+        band: Distance to the goal that counts as a success, m or rad.
         moving: Whether goals can move during an episode. False saves time in every step, because the goal at the reset
             is then that of the whole episode; not used for a task with previews or metrics "track".
     """
@@ -43,6 +47,7 @@ class Task(ABC):
     draws: ClassVar[int] = 0
     plan_size: ClassVar[int] = 2
     moving: ClassVar[bool] = True
+    lengths: ClassVar[tuple[str, ...]] = ("band",)
     band: float = 1e-3
 
     @property
@@ -141,11 +146,13 @@ TASKS: Registry[type[Task]] = Registry("task")
 TaskLike: TypeAlias = Literal["reach", "track"] | str | Task
 
 
-def as_task(task: TaskLike, **settings: Any) -> Task:
+def as_task(task: TaskLike, unit: AxisUnit = METERS, **settings: Any) -> Task:
     """Convert the environment option `task` to a task.
 
     Args:
-        task: Registered name ("reach", "track"), `package.module:name`, or a `Task`, which is returned unchanged.
+        task: Registered name ("reach", "track"), `package.module:name`, or a `Task`, which is returned unchanged: its
+            lengths are in the unit of the machine's axes.
+        unit: Unit of the machine's axes, in which the defaults of a named task are.
         **settings: Keywords of the task's class, for example speed=0.2, if `task` is a name; otherwise ignored.
 
     Raises:
@@ -153,7 +160,11 @@ def as_task(task: TaskLike, **settings: Any) -> Task:
         TypeError: If the task's class has no such keyword.
     """
     if isinstance(task, str):
-        return TASKS.get(task)(**settings)
+        named = TASKS.get(task)(**settings)
+        fields: Any = getattr(named, "__dataclass_fields__", {})
+        lengths = [name for name in named.lengths if name in fields and name not in settings]
+        defaults = {name: getattr(named, name) * unit.per_meter for name in lengths}
+        return named if unit is METERS else cast(Task, dataclasses.replace(cast(Any, named), **defaults))
     if not isinstance(task, Task):
         raise InputError(f"task is {task!r}; choose one of {', '.join(TASKS)} or give a Task")
     return task
@@ -164,7 +175,7 @@ def check_point(label: str, points: Array, workspace: Workspace) -> None:
 
     Args:
         label: Name of the option whose value the points are, for the error message.
-        points: Points, m, shape (axes,) or (k, axes).
+        points: Points, m or rad, shape (axes,) or (k, axes).
 
     Raises:
         InputError: If a point is not finite, lies outside the workspace, or does not have one coordinate per axis.
@@ -173,9 +184,10 @@ def check_point(label: str, points: Array, workspace: Workspace) -> None:
     if not (fits and np.all((points >= workspace[:, 0]) & (points <= workspace[:, 1]))):
         names = ("x", "y")[: len(workspace)]
         ranges = " and ".join(
-            f"{n} in [{low:g}, {high:g}] m" for n, (low, high) in zip(names, workspace, strict=True)
+            f"{n} in [{low:g}, {high:g}]" for n, (low, high) in zip(names, workspace, strict=True)
         )
-        raise InputError(f"{label} must be ({', '.join(names)}{',' * (len(names) == 1)}) with {ranges}")
+        point = f"({', '.join(names)}{',' * (len(names) == 1)})"
+        raise InputError(f"{label} must be {point} with {ranges}, in m, or in rad for a rotary axis")
 
 
 class ReferenceTrajectories:

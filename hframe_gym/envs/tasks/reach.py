@@ -19,6 +19,9 @@ from .base import TASKS, Task, check_point
 class Reach(Task):
     """Move the tool to a point and keep it there.
 
+    The lengths are angles for a machine with rotary axes; the task "reach" then has a margin of 0.2 rad and a band of
+    10 mrad.
+
     Args:
         start: Start position (x, y), or (x,) with one axis, m. Default: random, uniform in the workspace reduced by
             `margin`.
@@ -35,15 +38,16 @@ class Reach(Task):
     draws: ClassVar[int] = 4
     plan_size: ClassVar[int] = 2  # the target
     moving: ClassVar[bool] = False
+    lengths: ClassVar[tuple[str, ...]] = ("margin", "band")
 
     @override
     def check(self, workspace: Workspace) -> None:
         """Check that band and margin are valid and that start and target lie in the workspace."""
         if not (is_number(self.band) and self.band > 0.0):
-            raise InputError(f"task reach: band is {self.band!r}, it must be a positive number of meters")
+            raise InputError(f"task reach: band is {self.band!r}, it must be a positive number, m or rad")
         size = workspace[:, 1] - workspace[:, 0]
         if not (is_number(self.margin) and self.margin >= 0.0 and np.all(size > 2.0 * self.margin)):
-            raise InputError(f"task reach: margin is {self.margin!r} m, it must leave room in the workspace")
+            raise InputError(f"task reach: margin is {self.margin!r}, it must leave room in the workspace")
         for name, point in (("start", self.start), ("target", self.target)):
             if point is not None:
                 check_point(f"task reach: {name}", np.asarray(point), workspace)

@@ -20,8 +20,9 @@ from ...recordings import read_path
 from .base import TASKS, Metrics, Task
 from .curves import SHAPES, Curve, Polyline, point_at, traveled, write_distances
 
-# Columns of a plan: index of the path, its center (m), direction (+1 or -1), arc length at the start (m), speed (m/s).
-PATH, CENTER, DIRECTION, START, SPEED = 0, slice(1, 3), 3, 4, 5
+# Columns of a plan: index of the path, its center along each axis (m), direction (+1 or -1), arc length at the start
+# (m), speed (m/s).
+PATH, CENTER, DIRECTION, START, SPEED = 0, slice(1, -3), -3, -2, -1
 
 
 @TASKS.register("track")
@@ -32,6 +33,10 @@ class Track(Task):
     The goal speeds up over `lead_s` by v = speed (3 u^2 - 2 u^3), u = t / lead_s, so that its acceleration has no step
     (at 0.3 m/s and 0.2 s it is at most 2.3 m/s^2, a twentieth of what full voltage gives). At the end of an open path
     it slows down in the same way. A file with times keeps its times, with straight lines between the points.
+
+    A machine with one axis follows the motion of a shape along x: a circle gives a sine, a square moves and pauses in
+    turn. The way back is the way there, so that the distance to the path is that to the goal. The lengths are angles if
+    the axes are rotary; the task "track" then has a size of 0.5 rad, 3 rad/s and a band of 10 mrad.
 
     Args:
         path: Name of a shape ("circle", "square", "lissajous"), a tuple of names (one is chosen at random per episode),
@@ -54,7 +59,7 @@ class Track(Task):
     path: str | Path | tuple[str, ...] = "circle"
     size: float = 0.05
     speed: float = 0.3
-    centre: tuple[float, float] | None = None
+    centre: tuple[float, ...] | None = None
     direction: int | None = None
     phase: float | None = None
     lead_s: float = 0.2
@@ -66,6 +71,7 @@ class Track(Task):
     metrics: ClassVar[Metrics] = "track"
     draws: ClassVar[int] = 5
     plan_size: ClassVar[int] = 6
+    lengths: ClassVar[tuple[str, ...]] = ("size", "speed", "margin", "band")
 
     def __post_init__(self) -> None:
         for name in ("size", "speed", "lead_s", "preview_s", "band"):
@@ -132,31 +138,31 @@ class Track(Task):
         """Check that the path fits into the workspace.
 
         Raises:
-            InputError: If the machine has one axis, or a shape with its margin does not fit, or a point of a file is
-                outside; the message then names row and column.
+            InputError: If a shape with its margin does not fit, a point of a file is outside (the message names row and
+                column), or the machine has one axis and the path is a file.
         """
-        if len(workspace) != 2:
-            raise InputError(
-                "task track needs a machine that moves along x and y; choose the task reach for one axis"
-            )
         if self._is_file:
+            if len(workspace) != 2:
+                raise InputError(
+                    f"{self.path}: a file has points x, y, and the machine has one axis; choose one of "
+                    f"{', '.join(SHAPES)}, of which it follows the motion along x"
+                )
             self._check_file(workspace)
             return
         room = workspace[:, 1] - workspace[:, 0] - self.size
         if not (is_number(self.margin) and self.margin >= 0.0 and np.all(room >= 2.0 * self.margin)):
             raise InputError(
-                f"task track: a path {self.size:g} m across with a margin of {self.margin!r} m does not fit"
+                f"task track: a path {self.size:g} across with a margin of {self.margin!r} does not fit into the "
+                f"workspace, {' by '.join(f'{side:g}' for side in np.ptp(workspace, axis=1))} (m, or rad if rotary)"
             )
         if self.centre is not None:
-            edges = np.asarray(self.centre, float)[:, None] + 0.5 * self.size * np.array([-1.0, 1.0])
+            edges = np.reshape(self.centre, (-1, 1)) + 0.5 * self.size * np.array([-1.0, 1.0])
             if (
-                edges.shape != (2, 2)
+                edges.shape != workspace.shape
                 or np.any(edges[:, 0] < workspace[:, 0])
                 or np.any(edges[:, 1] > workspace[:, 1])
             ):
-                raise InputError(
-                    f"task track: centre is {self.centre!r} m; the path would leave the workspace"
-                )
+                raise InputError(f"task track: centre is {self.centre!r}; the path would leave the workspace")
 
     def _check_file(self, workspace: Array) -> None:
         """Check the points of a path file; raises InputError with row and column of the first one outside."""
@@ -181,18 +187,19 @@ class Track(Task):
         path is chosen at random if `path` is a tuple of names. A path from a file is followed from its first point.
 
         Returns:
-            start: Start positions of the tool, which are the first goals, x, y, m, shape (k, 2).
-            plan: Index of the path, center x, y (m), direction (+1 or -1), arc length at the start (m), speed (m/s),
-                shape (k, 6).
+            start: Start positions of the tool, which are the first goals, m, shape (k, axes).
+            plan: Index of the path, center (m), direction (+1 or -1), arc length at the start (m), speed (m/s), shape
+                (k, 4 + axes).
         """
-        plan = np.zeros((len(uniforms), self.plan_size))
+        axes = len(workspace)
+        plan = np.zeros((len(uniforms), 4 + axes))
         plan[:, DIRECTION] = 1.0
         plan[:, SPEED] = self.speed if parameters is None else parameters["speed"]
         if not self._is_file:
             plan[:, PATH] = np.floor(uniforms[:, 0] * len(self._curves))
             edge = self.margin + 0.5 * self.size
             low, high = workspace[:, 0] + edge, workspace[:, 1] - edge
-            random_center = low + (high - low) * uniforms[:, 1:3]
+            random_center = low + (high - low) * uniforms[:, 1 : 1 + axes]
             plan[:, CENTER] = random_center if self.centre is None else np.asarray(self.centre, float)
             random_direction = np.where(uniforms[:, 3] < 0.5, 1.0, -1.0)
             plan[:, DIRECTION] = random_direction if self.direction is None else self.direction
@@ -207,13 +214,13 @@ class Track(Task):
 
     @override
     def goal(self, plan: GoalPlans, elapsed_s: Array) -> Array:
-        times = elapsed_s.reshape(len(plan), -1)
-        out = np.empty((*times.shape, 2))
+        times, axes = elapsed_s.reshape(len(plan), -1), plan.shape[1] - 4
+        out = np.empty((*times.shape, axes))
         for curve, rows in self._rows_of_curves(plan):
             s = self._arc_length(curve, plan[rows], times[rows])
-            out[rows] = curve.point(s.ravel()).reshape(*s.shape, 2)
+            out[rows] = curve.point(s.ravel()).reshape(*s.shape, 2)[..., :axes]
         out += plan[:, None, CENTER]
-        return out.reshape(*elapsed_s.shape, 2)
+        return out.reshape(*elapsed_s.shape, axes)
 
     @override
     def write_goals(
@@ -232,6 +239,8 @@ class Track(Task):
 
     @override
     def contour(self, plan: GoalPlans, points: Array, elapsed_s: ElapsedTimes) -> Array:
+        if points.shape[1] == 1:
+            return np.asarray(np.abs(points - self.goal(plan, elapsed_s))[:, 0])
         out = np.empty(len(plan))
         if self._is_single_curve:
             _write_contours(plan, points, elapsed_s, self.lead_s, self._curves[0].data, out)
@@ -263,8 +272,8 @@ def arc_lengths(plan: Any, elapsed_s: Any, lead_s: float, length: float) -> Any:
     at the end; its speed is limited to length / lead_s.
 
     Args:
-        plan: Path of each episode, shape (n, 6). Columns 3 to 5 are used: direction (+1 or -1), arc length at the start
-            (m) and speed (m/s).
+        plan: Path of each episode, shape (n, 4 + axes). The last three columns are used: direction (+1 or -1), arc
+            length at the start (m) and speed (m/s).
         elapsed_s: Times since the reset, s, not negative, shape (n, m).
         lead_s: Duration of the speed-up and of the slow-down, s, positive.
         length: Length of the path, m; infinite for a closed path.
@@ -281,7 +290,7 @@ def arc_lengths(plan: Any, elapsed_s: Any, lead_s: float, length: float) -> Any:
 
 @compiled
 def _goal_arc_length(t: float, plan: Any, lead_s: float, length: float) -> float:
-    """Return the arc length, m, of the goal of one episode with the plan (6,) at time t, s; else as `arc_lengths`."""
+    """Return the arc length, m, of the goal of one episode with its plan at time t, s; else as `arc_lengths`."""
     return traveled(t, plan[SPEED], lead_s, length) * plan[DIRECTION] + plan[START]
 
 
@@ -289,17 +298,17 @@ def _goal_arc_length(t: float, plan: Any, lead_s: float, length: float) -> float
 def _write_goals(
     plan: Any, elapsed_s: Any, ahead_s: Any, lead_s: float, curve: Any, goals: Any, previews: Any
 ) -> None:
-    """Write goals (n, 2) at times elapsed_s (n,), and previews (n, m, 2) ahead_s (m,) later, by plans (n, 6)."""
+    """Write goals (n, axes) at times elapsed_s (n,), and previews (n, m, axes) ahead_s (m,) later, by plans."""
     length = math.inf if curve.closed else curve.vertex_s[-1]
     for i in range(len(plan)):
         for j in range(len(ahead_s) + 1):
             t = np.float64(elapsed_s[i]) + (ahead_s[j - 1] if j > 0 else 0.0)
-            x, y = point_at(_goal_arc_length(t, plan[i], lead_s, length), curve)
-            x, y = x + plan[i, 1], y + plan[i, 2]
-            if j == 0:
-                goals[i, 0], goals[i, 1] = x, y
-            else:
-                previews[i, j - 1, 0], previews[i, j - 1, 1] = x, y
+            point = point_at(_goal_arc_length(t, plan[i], lead_s, length), curve)
+            for axis in range(goals.shape[1]):
+                if j == 0:
+                    goals[i, axis] = point[axis] + plan[i, 1 + axis]
+                else:
+                    previews[i, j - 1, axis] = point[axis] + plan[i, 1 + axis]
 
 
 @compiled
