@@ -196,7 +196,8 @@ class MachineReader:
         field = f"coordinates.{entry.name}"
         if entry.radius is not None and entry.kind == "linear":
             raise self._error(f"{field}.radius", "a linear coordinate has none; delete it")
-        if entry.radius is None and any(entry.name in belt.extension for belt in self.content.belts):
+        on_belt = entry.kind == "rotary" and any(entry.name in b.extension for b in self.content.belts)
+        if on_belt and entry.radius is None:
             raise self._error(
                 f"{field}.radius", "a rotary coordinate on which a belt runs needs its pitch radius"
             )

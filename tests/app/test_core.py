@@ -193,7 +193,7 @@ def test_motions_have_as_many_frames_as_a_display_shows(tmp_path: Path) -> None:
     motions = read_motions(path, BUILTIN_MACHINES["axis"]())
     assert [len(motion["tool"]) for motion in motions] == [11, 11]
     assert motions[0]["frame_s"] == pytest.approx(0.01)
-    assert motions[0]["tool"][-1] == [0.01]
+    assert motions[0]["tool"][-1] == (0.01, 0.0)
     assert motions[1]["volts"][3] == [1.0]
 
 

@@ -8,7 +8,7 @@ import pytest
 import stable_baselines3.common.env_checker as sb3
 from gymnasium.utils import env_checker
 
-from hframe_gym.envs import HFrameEnv, HFrameTrackEnv, HFrameVectorEnv
+from hframe_gym.envs import HFrameEnv, HFrameTrackEnv, HFrameVectorEnv, Track
 from hframe_gym.errors import InputError
 from hframe_gym.machine import BUILTIN_MACHINES, Belt, Coordinate, Drive, Machine, Sensor
 

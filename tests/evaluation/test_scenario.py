@@ -117,7 +117,7 @@ def test_pid_settles_from_rig_sensors() -> None:
         ("no_such_module:p", Scenario(), "cannot import 'no_such_module'"),
         ("textbook-pid", Scenario(sensors="rig"), "needs the full state"),
         ("adaptive-pid", Scenario(sensors="rig"), "needs the full state"),
-        ("pid", Scenario("hframe-order20"), "the controllers need a tool that moves along x and y"),
+        ("pid", Scenario("hframe-order20"), "the controllers need one or two axes, linear or rotary"),
     ],
 )
 def test_impossible_controllers_are_rejected(name: str, scenario: Scenario, message: str) -> None:
