@@ -201,6 +201,23 @@ def axis_range(coordinate: Coordinate) -> tuple[float, float]:
     return coordinate.range or ((0.0, 2.0 * np.pi) if coordinate.kind == "rotary" else (-0.25, 0.25))
 
 
+def require_linear_axes(machine: Machine, what: str) -> None:
+    """Check that the tool of a machine does not turn, for a file that states its position in m.
+
+    Args:
+        what: The file, for example "an FMU".
+
+    Raises:
+        InputError: If a tool axis is rotary; the message lists what can be exported.
+    """
+    rotary = [axis for axis in machine.tool_axes if machine.coordinate(axis).kind == "rotary"]
+    if rotary:
+        raise InputError(
+            f"machine {machine.name!r}: {what} has the tool position in m, and {' and '.join(rotary)} turns; export "
+            "state-space, friction-map or, of an agent, policy"
+        )
+
+
 def operating_point(machine: Machine, at: Sequence[str] | None) -> NDArray[np.float64]:
     """Convert the option --at to the positions of all coordinates, with unstretched belts.
 

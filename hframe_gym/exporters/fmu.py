@@ -20,7 +20,7 @@ from ..dynamics.physics.parameterized_machine import Value
 from ..dynamics.simulation import LONGEST_STEP
 from ..errors import InputError
 from ..machine import Machine, rest_positions_per_axis
-from .base import EXPORTERS, Files, MachineExporter, indented, plain
+from .base import EXPORTERS, Files, MachineExporter, indented, plain, require_linear_axes
 from .c_source import c_comment, constants, declaration, definition, helper_functions
 from .formula_source import C99, Formula, Signal, parameters_of, trace_formula
 
@@ -57,6 +57,7 @@ class FmuExporter(MachineExporter):
                 f"machine {machine.name!r}: an FMU has no place for {', '.join(unsupported)} (delays, eccentric "
                 "pulleys); remove it from a copy of the machine and add a delay in the program that imports the FMU"
             )
+        require_linear_axes(machine, "an FMU")
         if not machine.tool_axes or not machine.sensors:
             raise InputError(
                 f"machine {machine.name!r}: an FMU needs tool axes, whose start it sets, and sensors"

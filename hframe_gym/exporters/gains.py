@@ -12,7 +12,17 @@ import numpy as np
 
 from ..controllers import ModelBasedController, TextbookPID
 from ..machine import Machine
-from .base import EXPORTERS, Files, MachineExporter, commented, json_text, operating_point, option, plain
+from .base import (
+    EXPORTERS,
+    Files,
+    MachineExporter,
+    commented,
+    json_text,
+    operating_point,
+    option,
+    plain,
+    require_linear_axes,
+)
 
 
 class Gain(NamedTuple):
@@ -52,6 +62,7 @@ class GainsExporter(MachineExporter):
 
     def files(self, machine: Machine) -> Files:
         """Return the files with the gains."""
+        require_linear_axes(machine, "the table of gains")
         textbook, feedback = TextbookPID(machine, self.period), ModelBasedController(machine, self.period)
         concern = textbook.concern()
         if concern is not None:

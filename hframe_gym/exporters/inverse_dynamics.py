@@ -26,6 +26,7 @@ from ..dynamics import Equations, MotionPoint
 from ..dynamics.elementwise import sign
 from ..errors import InputError
 from ..machine import AppliedEffect, Machine, argument_names, rest_positions_per_axis
+from .base import require_linear_axes
 
 Values = Mapping[str, Any] | None
 BISECTIONS = 64  # halvings of the range of a command: the result is exact to rounding
@@ -50,6 +51,7 @@ class InverseDynamics:
 
     def __init__(self, machine: Machine) -> None:
         self.axes = machine.tool_axes
+        require_linear_axes(machine, "the source of a motion controller")
         if not self.axes or len(machine.drives) != len(self.axes):
             raise InputError(
                 f"machine {machine.name!r}: inverse dynamics need a tool with one drive per axis; it has "

@@ -17,7 +17,7 @@ from ..arrays import Array
 from ..dynamics import belt_states
 from ..errors import InputError
 from ..machine import Coordinate, Machine
-from .base import axis_range
+from .base import axis_range, require_linear_axes
 
 # MuJoCo's friction is a soft constraint: it brings a velocity to zero within the time constant of `solreffriction` (20
 # ms by default) and creeps according to the impedance of `solimpfriction`. `default` uses these defaults. `stiff` is as
@@ -147,6 +147,7 @@ def tool_coordinates(machine: Machine) -> list[Coordinate]:
     Raises:
         InputError: If there are other linear coordinates, coordinates that a spring holds, or no tool.
     """
+    require_linear_axes(machine, "a model of bodies")
     axes = [machine.coordinate(name) for name in machine.tool_axes]
     others = [c.name for c in machine.coordinates if c.kind == "linear" and c.name not in machine.tool_axes]
     others += machine.spring_loaded

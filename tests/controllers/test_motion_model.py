@@ -117,9 +117,7 @@ def test_workspace_without_range_is_rejected(hframe: Machine) -> None:
 
 
 def test_machine_without_full_state_measurement_is_rejected() -> None:
-    with pytest.raises(
-        InputError, match="the controllers need one or two axes, linear or rotary"
-    ):
+    with pytest.raises(InputError, match="the controllers need one or two axes, linear or rotary"):
         MotionModel(BUILTIN_MACHINES["hframe-order20"]())
 
 

@@ -16,7 +16,7 @@ from hframe_gym import cli
 from hframe_gym.errors import InputError
 from hframe_gym.exporters import EXPORTERS, Exporter, MachineExporter, option
 from hframe_gym.exporters.base import operating_point, plain
-from hframe_gym.machine import Machine
+from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import save_machine
 
 KINDS = [name for name in EXPORTERS if issubclass(EXPORTERS.get(name), MachineExporter)]
@@ -174,3 +174,13 @@ def test_operating_points(hframe: Machine) -> None:
     point = operating_point(hframe, ["x=0.1", "y=-0.05"])
     assert point[:2].tolist() == [0.1, -0.05]
     assert (hframe.belt_matrix @ point).tolist() == pytest.approx([0.0] * 3)
+
+
+@pytest.mark.parametrize("kind", ["c", "st", "gains", "fmu", "mjcf", "urdf"])
+def test_files_with_positions_in_m_refuse_a_rotary_axis(kind: str, tmp_path: Path) -> None:
+    machine = BUILTIN_MACHINES["axis"]()
+    turning = dataclasses.replace(machine.coordinates[0], kind="rotary", radius=0.1)
+    save_machine(machine.replace(coordinates=(turning,)), tmp_path / "motor.json")
+    exporter = EXPORTERS.get(kind)(machine=str(tmp_path / "motor.json"))
+    with pytest.raises(InputError, match="has the tool position in m, and x turns; export state-space"):
+        exporter.files(exporter.loaded())
