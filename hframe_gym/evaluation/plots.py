@@ -199,7 +199,11 @@ def distribution_panel(recorded: Mapping[str, Episodes]) -> Panel:
         if len(values):
             spread = "to".join(f" {number(float(q))} " for q in np.quantile(values, (0.05, 0.5, 0.95)))
             texts.append(f"{name}{spread}".rstrip())
-    what = f"rms contour error, {unit.small}" if path else f"settling time to {unit.band_texts[unit.bound_band]}, s"
+    what = (
+        f"rms contour error, {unit.small}"
+        if path
+        else f"settling time to {unit.band_texts[unit.bound_band]}, s"
+    )
 
     def draw(axes: Any) -> None:
         for name, (values, fractions) in curves.items():

@@ -116,9 +116,7 @@ def _median_and_worst(name: str, episodes: Episodes) -> list[Panel]:
     ]
 
 
-def _reach_verdict(
-    scores: Mapping[str, Any], recorded: Mapping[str, Episodes], unit: AxisUnit
-) -> _Verdict:
+def _reach_verdict(scores: Mapping[str, Any], recorded: Mapping[str, Episodes], unit: AxisUnit) -> _Verdict:
     """Return the fastest of the most successful controllers."""
     controllers, band = scores["controllers"], unit.bound_band
     text = unit.band_texts[band]

@@ -45,7 +45,6 @@ class AxisUnit:
         """Name of the band within which time-optimal motions end, the second one: "0.2mm" or "2mrad"."""
         return list(self.bands)[1]
 
-
     @cached_property
     def band_texts(self) -> Mapping[str, str]:
         """The settling bands as written for readers, such as "0.2 mm", by name."""
