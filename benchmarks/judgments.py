@@ -83,6 +83,40 @@ class Number:
         self._compute, self._known = None, known
 
 
+class Numbers:
+    """Numbers of an evidence record that are computed one after the other while a rule asks for them, and kept.
+
+    Args:
+        compute: Iterator that computes them.
+    """
+
+    def __init__(self, compute: Iterator[Any]) -> None:
+        self._compute: Iterator[Any] | None = compute
+        self._known: list[Any] = []
+        self._complete = False
+
+    def __iter__(self) -> Iterator[Any]:
+        """Yield the numbers."""
+        yield from self._known
+        while not self._complete:
+            if self._compute is None:
+                raise UnknownEvidenceError
+            try:
+                self._known.append(next(self._compute))
+            except StopIteration:
+                self._complete = True
+            else:
+                yield self._known[-1]
+
+    def __getstate__(self) -> tuple[list[Any], bool]:
+        """Return what is pickled: the known numbers, and whether they are all."""
+        return self._known, self._complete
+
+    def __setstate__(self, known: tuple[list[Any], bool]) -> None:
+        """Restore pickled numbers."""
+        self._compute, (self._known, self._complete) = None, known
+
+
 class Limit(float):
     """Limit that a rule returned and another one receives; `judgment` and `added` say how to compute it again."""
 
@@ -140,6 +174,8 @@ def _recordable(value: Any) -> Any:
     """Return an argument whose numbers that are computed on demand are kept."""
     if isinstance(value, FunctionType | functools.partial):
         return Number(value)
+    if isinstance(value, Iterator):
+        return Numbers(value)
     if dataclasses.is_dataclass(value) and not isinstance(value, type | SelectionCriteria):
         fields = {f.name: _recordable(getattr(value, f.name)) for f in dataclasses.fields(value) if f.init}
         return dataclasses.replace(value, **fields)

@@ -14,6 +14,7 @@ import pytest
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Fit, SelectedEffect, SelectionCriteria
 from hframe_gym.identification.evidence import significance
+from hframe_gym.identification.judge.chance import LongRunVariance
 from hframe_gym.identification.predict.free_parameters import FreeParameter
 from hframe_gym.identification.search import forward_selection
 from hframe_gym.identification.search.forward_selection import EffectSearch
@@ -68,7 +69,7 @@ class Scripted:
             "drive_force": lambda machine, data: self.drives,
             "residue_force": lambda fitted, data: self.residue.get(fitted.chi2, 0.1),
             "leave_one_out_gain": lambda a, b, data: self.confirmed * (a.cost - b.cost),
-            "long_run_variance": lambda fitted, label, data: self.variance,
+            "long_run_variance": lambda fitted, label, data: LongRunVariance(self.variance),
             "validation_fault": lambda machine: self.fault,
             "force_difference": lambda a, b, data: self.difference,
             "fit_with_model_error": lambda fitted, data: fitted,
@@ -81,7 +82,7 @@ class Scripted:
             "converge": lambda fitted, data, thorough: fitted,
             "trial_fits": lambda current, data, enough, criteria: self.trials.pop(0) if self.trials else [],
             "structural_trial_fits": lambda *arguments: self.structures.pop(0) if self.structures else [],
-            "unexplained_fraction": lambda current, trials, criteria: 1.0,
+            "unexplained_fraction": lambda current, trials: 1.0,
             "without_effect": lambda current, label, *rest, **more: self.without.get(label),
             "replacement_fit": lambda *arguments: self.replacement,
         }

@@ -10,7 +10,9 @@ from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset, SelectionCriteria, fit, prepare
 from hframe_gym.identification.evidence.significance import parameter_values
 from hframe_gym.identification.fit.force_sizes import typical_scales
+from hframe_gym.identification.judge.chance import LongRunVariance
 from hframe_gym.identification.judge.effect import parameter_at_limit
+from hframe_gym.identification.judge.rival import largest_resembling_loss
 from hframe_gym.identification.predict.free_parameters import default_free_parameters
 from hframe_gym.identification.propose.candidates import candidates, coverage, effect_parameters
 from hframe_gym.identification.propose.trial_fits import indistinguishable
@@ -42,7 +44,7 @@ def test_one_sine_cannot_tell_friction_over_speed_from_other_friction() -> None:
         fitted = fit(RIG, free, data, 60.0)
         free += effect_parameters(RIG.effects[0], RIG, typical_scales(fitted, data))
         complete = fit(RIG, tuple(free), data, 60.0)
-        loss = 2.0 * SelectionCriteria().min_chance_gain
+        loss = largest_resembling_loss(LongRunVariance(1.0), SelectionCriteria())
         return [effect.name for effect in indistinguishable(complete, RIG.effects[0], loss, data)]
 
     single, several = rivals(sines([[1.0]] * 2)), rivals(sines([[1.0], [0.4, 2.3], [0.7, 5.0], [0.3]]))

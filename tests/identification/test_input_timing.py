@@ -10,6 +10,7 @@ import pytest
 
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Fit
+from hframe_gym.identification.judge.chance import LongRunVariance
 from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH
 from hframe_gym.identification.search import input_timing
 from hframe_gym.identification.search.input_timing import with_input_timing
@@ -37,7 +38,7 @@ class Script:
             "polish": lambda fitted, data: fitted,
             "converge": lambda trial, data, thorough: trial,
             "likelihood_loss": lambda fitted, data: fitted.chi2,
-            "long_run_variance": lambda fitted, label, data: self.variance,
+            "long_run_variance": lambda fitted, label, data: LongRunVariance(self.variance),
             "leave_one_out_gain": lambda a, b, data: self.confirmed * (a.cost - b.cost),
             "validation_fault": lambda machine: self.fault,
             "is_excited": lambda *arguments: self.excited,
@@ -93,7 +94,7 @@ def test_an_equally_good_lag_is_its_rival(script: Script) -> None:
     ("changes", "reason"),
     [
         ({"chi2": {SEARCH_BANDWIDTH: (100.0, 90.0), WIDE: (10.0, 9.0)}}, "a slow error"),
-        ({"variance": 334.0}, "no more than chance"),  # the gain is 10,000, thirty times 333
+        ({"variance": 420.0}, "no more than chance"),  # the gain is 10,000, 24 times 418
         ({"confirmed": 0.29}, "not confirmed"),
         ({"fault": "diverges"}, "diverges"),
         ({"held_out_gain": 0.0}, "held-out runs"),

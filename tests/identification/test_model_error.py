@@ -111,7 +111,7 @@ def test_colored_noise_has_a_large_long_run_variance(axis: Machine) -> None:
         fit_with_model_error(fitted_axis(axis, data, constant_force=True), data) for data in (white, colored)
     ]
     values = [
-        long_run_variance(f, "constant_force@x", d) for f, d in zip(fits, (white, colored), strict=True)
+        long_run_variance(f, "constant_force@x", d).ratio for f, d in zip(fits, (white, colored), strict=True)
     ]
     assert values[0] < 3.0
     assert values[1] > 2.0 * values[0]

@@ -147,7 +147,7 @@ def compare_rivals(
     """Compare an effect of the machine with its rivals by their likelihood, each fitted in place of the effect.
 
     A rival replaces the effect, or is excluded, only if the difference in likelihood exceeds what chance may cause:
-    `min_chance_gain` of the criteria, increased where the residual is correlated in time.
+    `chance` of the criteria, increased where the residual is correlated in time.
 
     Args:
         current: Fit of the machine with all effects (deviations from the model).

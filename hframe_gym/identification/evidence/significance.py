@@ -11,7 +11,6 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri, fdtri
 
 from ...machine import HOOKS, AppliedEffect, Machine, argument_names
 from ...preparation.dataset import Dataset
@@ -20,8 +19,9 @@ from ..fit.estimation import Fit
 from ..fit.force_sizes import drive_force, effect_force, force_difference, residue_force
 from ..fit.model_error import fit_with_model_error, leave_one_out_gain, narrower_observer
 from ..judge import effect as judge
+from ..judge.chance import LongRunVariance
 from ..judge.criteria import SelectionCriteria
-from ..judge.effect import CHANCE, Addition, Chance, EffectEvidence, Forces, ParameterValue
+from ..judge.effect import Addition, Chance, EffectEvidence, Forces, ParameterValue
 from ..predict.free_parameters import prior_precision
 from ..predict.linearization import ResidualModel, RunLinearization
 from ..predict.prediction import SIMULATION, block_size, map_runs
@@ -73,14 +73,13 @@ def _variables(effect: AppliedEffect) -> set[tuple[str, bool]]:
     return {(_VARIABLES[name], periodic) for name in arguments & set(_VARIABLES)}
 
 
-def long_run_variance(fitted: Fit, label: str, data: Dataset) -> float:
+def long_run_variance(fitted: Fit, label: str, data: Dataset) -> LongRunVariance:
     """Return by which factor a residual that is correlated in time raises the gain that an effect reaches by chance.
 
     The gain is the reduction of the cost (sum of squared residuals in units of the noise). The factor is the ratio of
     the residual's long-run variance to the variance of white noise, in the direction in which the effect changes the
     predictions. The long-run variance follows from sums of the residual over blocks that count as independent. Blocks
-    of 50 ms, of 0.5 s and complete runs are tried. Few blocks estimate a variance inaccurately; the factor is then
-    larger by the ratio of the quantiles of the F and the chi-squared distribution.
+    of 50 ms, of 0.5 s and complete runs are tried.
 
     Args:
         fitted: Fit with the effect (deviation from the nominal model), at any observer bandwidth.
@@ -88,8 +87,9 @@ def long_run_variance(fitted: Fit, label: str, data: Dataset) -> float:
         data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
-        Factor, dimensionless, at least 1: the largest for the three kinds of blocks and all combinations of the
-        effect's parameters. It is infinite if the machine diverges at the fitted or slightly different parameters.
+        The largest factor for the three kinds of blocks and all combinations of the effect's parameters, with the
+        number of blocks of 0.5 s. It is infinite if the machine diverges at the fitted or slightly different
+        parameters.
 
     References:
         Liang and Zeger (1986), "Longitudinal data analysis using generalized linear models".
@@ -103,7 +103,7 @@ def long_run_variance(fitted: Fit, label: str, data: Dataset) -> float:
 
 def variance_along(
     runs: Sequence[RunLinearization], of_effect: NDArray[np.bool_], precision: Array, short: int, long: int
-) -> float:
+) -> LongRunVariance:
     """Return the long-run variance of a residual along the change that an effect causes, over that of white noise.
 
     Args:
@@ -114,10 +114,10 @@ def variance_along(
         long: Values of a block that counts as independent.
 
     Returns:
-        Factor, dimensionless, as `long_run_variance` describes.
+        Factor, dimensionless, with the numbers of parameters and of long blocks, as `long_run_variance` describes.
     """
     if not all(np.isfinite(run.jacobian).all() and np.isfinite(run.residual).all() for run in runs):
-        return math.inf
+        return LongRunVariance(math.inf)
     others = ~of_effect
     hessian = sum((run.jacobian @ run.jacobian.T for run in runs), precision)
     # Change of the effect's parameters with adapted other parameters: one row per parameter of the effect.
@@ -127,15 +127,13 @@ def variance_along(
     ).T
     responses = [directions @ run.jacobian for run in runs]
     inverse = np.linalg.pinv(sum(response @ response.T for response in responses), hermitian=True)
-    largest = 0.0
+    largest = 1.0
     for size in (short, long, max(run.residual.size for run in runs)):
-        blocks = [_block_sums(j * run.residual, size) for j, run in zip(responses, runs, strict=True)]
-        scores = np.concatenate(blocks, axis=1)  # (parameters of the effect, blocks)
+        sums = [_block_sums(j * run.residual, size) for j, run in zip(responses, runs, strict=True)]
+        scores = np.concatenate(sums, axis=1)  # (parameters of the effect, blocks)
         largest = max(largest, float(np.linalg.eigvals(inverse @ scores @ scores.T).real.max()))
-    count = sum(-(-run.residual.size // long) for run in runs)
-    parameters = len(directions)
-    quantiles = fdtri(parameters, count, 1.0 - CHANCE), chdtri(parameters, CHANCE) / parameters
-    return max(1.0, largest * float(quantiles[0] / quantiles[1]))
+    blocks = sum(-(-run.residual.size // long) for run in runs)
+    return LongRunVariance(largest, len(directions), blocks)
 
 
 def _block_sums(rows: Array, size: int) -> Array:

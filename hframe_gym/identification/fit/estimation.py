@@ -25,7 +25,7 @@ from ..judge.error import FitError
 from ..predict.free_parameters import FreeParameter, bounded_step, prior_precision, values_at
 from ..predict.linearization import DIFFERENCE_STEP, Linearization, ResidualModel, has_impacts
 from ..predict.normal_equations import NormalEquations
-from ..predict.prediction import SEARCH_BANDWIDTH, SEARCH_STEP, map_runs
+from ..predict.prediction import SEARCH_BANDWIDTH, SEARCH_STEP, innovation_variance, map_runs
 from ..predict.start_uncertainty import prediction_residuals, uncertain_starts
 
 Array = NDArray[np.float64]
@@ -53,6 +53,7 @@ class Fit:
             pure simulation.
         information: Fisher information of theta without the prior, shape (k, k).
         longest_step: Maximum integration step of the fitted predictions, s.
+        floor: Chi-squared per sample of an exact machine with this observer, dimensionless (`innovation_variance`).
         observers: Observers of the runs in the fit, by their name, if each run had another one; otherwise empty.
     """
 
@@ -64,6 +65,7 @@ class Fit:
     bandwidth: float
     information: Array = field(repr=False)
     longest_step: float = SEARCH_STEP
+    floor: float = 1.0
     observers: Mapping[str, RunObserver] = field(default_factory=dict, repr=False)
 
     @property
@@ -74,7 +76,8 @@ class Fit:
     @property
     def error(self) -> FitError:
         """What the fit leaves of the error, for decisions."""
-        return FitError(self.cost, self.count, self.bandwidth, self.bandwidth >= SEARCH_BANDWIDTH)
+        widest = self.bandwidth >= SEARCH_BANDWIDTH
+        return FitError(self.cost, self.count, self.bandwidth, widest, self.floor)
 
     @property
     def mode(self) -> str:
@@ -146,7 +149,8 @@ def fit(
     machine = model.machine_at(theta)
     if math.isfinite(cost):  # costs of trials have the influence of unknown starts linearized before the step
         cost = prediction_cost(machine, data, bandwidth, longest_step=longest_step)
-    return Fit(machine, model.free, theta, cost, data.count, bandwidth, information, longest_step)
+    floor = innovation_variance(machine, data, bandwidth)[0]
+    return Fit(machine, model.free, theta, cost, data.count, bandwidth, information, longest_step, floor)
 
 
 def _descend(

@@ -27,7 +27,7 @@ from ...preparation.dataset import Dataset
 from ..judge import run as judge
 from ..judge.observer import likeliest, simulates_best
 from ..judge.run import MIN_RUNS_COMPARED
-from ..predict.prediction import POLISH_STEP, SEARCH_BANDWIDTH, SEARCH_STEP, SIMULATION, sensor_bandwidths
+from ..predict.prediction import POLISH_STEP, SEARCH_BANDWIDTH, SEARCH_STEP, SIMULATION, innovation_variance
 from .estimation import Fit, cross_validation, fit, prediction_cost
 
 Array = NDArray[np.float64]
@@ -73,26 +73,8 @@ def likelihood_loss(fitted: Fit, data: Dataset) -> float:
     References:
         Ljung (1999), "System Identification", section 7.4.
     """
-    variance, log_variance = innovation_variance(fitted, data)
+    variance, log_variance = innovation_variance(fitted.machine, data, fitted.bandwidth)
     return fitted.chi2 / variance + log_variance
-
-
-def innovation_variance(fitted: Fit, data: Dataset) -> tuple[float, float]:
-    """Return the variance that innovations (errors before an observer's correction) of a correct machine have.
-
-    Args:
-        fitted: Fit with its observer bandwidth.
-        data: Runs that were fitted (times, voltages, measurements, SI).
-
-    Returns:
-        Means of the ratio (variance / noise variance) and of its logarithm over all measured values, dimensionless.
-    """
-    # Position gain K of a critically damped observer: twice the bandwidth times the sampling period.
-    gains = 2.0 * sensor_bandwidths(fitted.machine, fitted.bandwidth) * data.period
-    variance = 1.0 / (1.0 - np.minimum(gains, 0.9))  # (sensors,)
-    counts = np.sum([run.weights.sum(axis=0) for run in data.runs], axis=0)  # (sensors,)
-    weights = counts / counts.sum()
-    return float(weights @ variance), float(weights @ np.log(variance))
 
 
 def narrower_observer(fitted: Fit, data: Dataset) -> Fit:
@@ -122,7 +104,7 @@ def likelihood_deficit(fitted: Fit, reference: Fit, data: Dataset) -> float:
         Reduction of chi-squared per sample, dimensionless; 0 if the fit is at least as likely.
     """
     loss = likelihood_loss(fitted, data) - likelihood_loss(reference, data)
-    return max(0.0, loss) * innovation_variance(fitted, data)[0]
+    return max(0.0, loss) * fitted.floor
 
 
 def fit_with_model_error(fitted: Fit, data: Dataset) -> Fit:

@@ -30,6 +30,7 @@ from ...machine import AppliedEffect, Machine
 from ...preparation.dataset import MIN_ROWS, Dataset
 from ...preparation.motion_windows import MotionWindows, force_equations, leading_motions, motion_windows
 from ...recordings import comparison_window
+from ..judge.error import is_better_start
 from ..predict.free_parameters import FreeParameter, default_free_parameters, typical_force
 from ..predict.prediction import SEARCH_BANDWIDTH, SIMULATION
 from .estimation import Fit, fit, prediction_cost
@@ -50,8 +51,6 @@ _GUIDING_BANDWIDTH = 3.0  # rad/s, of an observer that leads an output-error fit
 _TERM_PRIOR = 10.0  # in typical sizes of a term
 # Fraction of the squared error that a term (offset, weight, delay) must remove beside inertia and friction.
 _LEAST_GAIN = 0.02
-_BETTER_PREDICTION = 0.9  # ratio of the costs of two refits, at the widest observer, ...
-_BETTER_SIMULATION = 0.5  # ... or in simulation, below which the plain values are the better start
 
 
 @dataclass(frozen=True)
@@ -367,9 +366,8 @@ def better_start(machine: Machine, data: Dataset, plain: PlainFit | None) -> Mac
         return machine
     equal = equally_weighted(data)
     simulated = [prediction_cost(f.machine, equal, SIMULATION) for f in refits]
-    predicted = other.cost < _BETTER_PREDICTION * declared.cost
-    better = other.cost < declared.cost and simulated[1] < _BETTER_SIMULATION * simulated[0]
-    return plain.start if predicted or better or not math.isfinite(declared.cost) else machine
+    better = is_better_start((other.cost, declared.cost), (simulated[1], simulated[0]))
+    return plain.start if better else machine
 
 
 def outside_limits(declared: Machine, machine: Machine) -> tuple[str, ...]:

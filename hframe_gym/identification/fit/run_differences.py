@@ -27,7 +27,7 @@ from ..predict.free_parameters import FreeParameter, prior_precision, values_at
 from ..predict.linearization import Linearization, ResidualModel
 from ..predict.prediction import SEARCH_BANDWIDTH
 from .estimation import Fit
-from .model_error import continue_fit, innovation_variance
+from .model_error import continue_fit
 
 Array = NDArray[np.float64]
 
@@ -200,8 +200,7 @@ def _explanations(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> li
     if len(data.runs) < judge.MIN_RUNS_COMPARED:
         return []
     common = continue_fit(fitted, data, SEARCH_BANDWIDTH)
-    variance = innovation_variance(common, data)[0]
-    if judge.one_value_explains(common.chi2, variance, criteria):
+    if judge.one_value_explains(common.chi2, common.floor, criteria):
         return []
     # From the machine of the runs that agree: thresholds of effects may be lost in a compromise with a different run.
     model = _ModelByRun(fitted, data)
@@ -214,7 +213,7 @@ def _explanations(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> li
     found: list[RunDifferences] = []
     for quantity in promising[:_CANDIDATES]:
         cost, amounts = model.fit(quantity)
-        if judge.one_value_explains(cost / data.count, variance, criteria):
+        if judge.one_value_explains(cost / data.count, common.floor, criteria):
             relative = (amounts - amounts.min()).tolist()
             in_time = sorted(zip(data.runs, relative, strict=True), key=lambda pair: float(pair[0].time_s[0]))
             by_run = {run.name: amount for run, amount in in_time}

@@ -22,9 +22,9 @@ from ..judge.run import accepts_run_observers
 from ..predict.free_parameters import bounded_step, prior_precision
 from ..predict.linearization import ResidualModel
 from ..predict.normal_equations import NormalEquations
-from ..predict.prediction import POLISH_STEP, SIMULATION
+from ..predict.prediction import POLISH_STEP, SIMULATION, innovation_variance
 from .estimation import Fit, prediction_cost, prediction_costs
-from .model_error import BANDWIDTHS, innovation_variance, polish, search_step
+from .model_error import BANDWIDTHS, polish, search_step
 
 Array = NDArray[np.float64]
 Observers = dict[str, RunObserver]
@@ -74,8 +74,7 @@ def _bandwidths(observers: Observers) -> list[float]:
 
 def _variances(fitted: Fit, data: Dataset, bandwidth: float) -> Array:
     """Return v and the mean of log v of every run at a bandwidth, rad/s, shape (runs, 2)."""
-    at_bandwidth = dataclasses.replace(fitted, bandwidth=bandwidth)
-    return np.array([innovation_variance(at_bandwidth, run) for run in data.single_runs()])
+    return np.array([innovation_variance(fitted.machine, run, bandwidth) for run in data.single_runs()])
 
 
 def _losses(costs: Array, counts: Array, variances: Array) -> tuple[Array, Array]:

@@ -35,8 +35,8 @@ class SearchEffort(SaturationCriteria):
         linear_gain_ratio: Smallest linearized gain, relative to the required gain, for which a candidate is fitted. It
             is below 1 because the fitted gain may exceed the linearized one.
         rival_remainder: Largest fraction of the excess that a candidate may leave to explain the data. The excess is
-            chi-squared per sample minus its value for a correct model (1, or `one_step_floor`). Once a candidate
-            explains the data, only its possible rivals are fitted as well.
+            chi-squared per sample minus its value for an exact machine. Once a candidate explains the data, only its
+            possible rivals are fitted as well.
         structural_remainder: Structural candidates are tried only if every other candidate leaves more than this
             fraction of the excess, because their simulations must first be compiled.
         min_structural_excess: Smallest excess for which structural candidates are tried.
@@ -82,20 +82,13 @@ class SelectionCriteria(SearchEffort):
     Pass a changed copy to `identify(..., criteria=SelectionCriteria(max_effects=3))`. `print` shows all values.
 
     Attributes:
-        min_gain_simulation: Smallest gain of an effect in simulation, chi-squared per sample. Rigs without effects stay
-            below it.
-        min_gain_one_step: Smallest gain in one-step prediction, chi-squared per sample. It is larger than in simulation
-            because the residual of the observer is correlated.
-        min_total_gain: Smallest gain summed over all samples, chi-squared. It protects short recordings, where chance
-            explains a larger fraction of the residual.
-        min_chance_gain: Smallest gain summed over all samples, divided by the long-run variance of the remaining
-            residual (`significance.long_run_variance`). The best of some hundred candidates with a few parameters
-            reaches this value by chance.
+        min_gain: Smallest gain of an effect, chi-squared per sample: 0.5 % of the root mean square error at the noise.
+            Rigs without effects stay below it with every observer. The search ends where less is left.
+        chance: Probability with which an effect that does not exist seems to exist. Some hundred candidates in up to
+            ten steps are compared, so that one of a thousand searches finds one by chance.
         min_gain_fraction: Smallest gain relative to chi-squared per sample - 1, the error beyond the noise. An effect
             that removes less is a substitute for the true one.
         rival_gain_fraction: Fraction of the best candidate's gain above which another candidate counts as its rival.
-        rival_gain_margin: Difference of chi-squared per sample below which two candidates are rivals.
-        noise_level: Chi-squared per sample at which the search stops, because nothing but noise is left.
         min_confirmed_fraction: Smallest fraction of an effect's gain that remains if the parameters are fitted to the
             other runs (leave-one-run-out).
         min_force_ratio: Smallest force of an effect relative to the force that remains unexplained beside it.
@@ -104,19 +97,12 @@ class SelectionCriteria(SearchEffort):
         max_form_error: Ratio of the forces of two effects that depend on the same variable of the same component, but
             are of different families. If the ratio is smaller, the smaller effect is rejected: it may only correct an
             error in the formula of the larger one.
-        one_step_floor: Chi-squared per sample that a correct model reaches in one-step prediction; quantization keeps
-            it above 1.
-        min_table_gain: Smallest gain of a table, chi-squared per sample. A table has two dozen values and fits chance
-            well.
-        min_table_gain_fraction: Smallest gain of a table relative to the excess over `one_step_floor`.
         max_table_cross_validation: Largest cost of data to which a table was not fitted, relative to the cost without
             the table: a geometric mean over pieces of the runs.
         explained_chi2: Chi-squared per sample below which the model explains the data.
-        explained_fraction: Fraction of the initial chi-squared per sample below which the model explains the data,
-            where the initial value is large.
         max_partial_excess: Selected effects that leave more than noise are reported if they reduce the error beyond the
             noise to less than this fraction of the refitted machine's. It suffices that one of two errors falls so far:
-            chi-squared per sample - `one_step_floor` in one-step prediction, or the root mean square error in
+            chi-squared per sample - that of an exact machine in one-step prediction, or the root mean square error in
             simulation. The held-out runs hold the same limit against the names of effects that are the causes of the
             missing force; those of a real axis (EMPS) leave 0.11.
         max_noise_ratio_explained: Largest simulation error on the held-out runs, in multiples of the sensors' noise at
@@ -130,25 +116,17 @@ class SelectionCriteria(SearchEffort):
             the time at rest 0.07; Stribeck friction beside a log that misses the voltages between its rows leaves 0.01.
     """
 
-    min_gain_simulation: float = 0.003
-    min_gain_one_step: float = 0.01
-    min_total_gain: float = 200.0
-    min_chance_gain: float = 30.0
+    min_gain: float = 0.01
+    chance: float = 1e-6
     min_gain_fraction: float = 0.1
     rival_gain_fraction: float = 0.97
-    rival_gain_margin: float = 0.002
-    noise_level: float = 1.01
     min_confirmed_fraction: float = 0.3
     min_force_ratio: float = 1.0
     min_drive_force_ratio: float = 2e-5
     max_form_error: float = 0.2
-    one_step_floor: float = 1.1
-    min_table_gain: float = 0.02
-    min_table_gain_fraction: float = 0.2
     max_table_cross_validation: float = 0.4
     explained_chi2: float = 1.5
-    explained_fraction: float = 1e-4
     max_partial_excess: float = 0.25
     max_noise_ratio_explained: float = 2.0
     max_motion_error: float = 0.1
-    max_remaining: float = 0.03
+    max_remaining: float = 0.02

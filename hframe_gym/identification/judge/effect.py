@@ -11,19 +11,13 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
+from .chance import LongRunVariance, exceeds_chance
 from .criteria import SelectionCriteria
-from .error import FitError, Measured, is_enough, nearly_explains, noise_floor, required_gain
+from .error import FAR, FitError, Measured, is_enough, nearly_explains, required_gain
 
-# Probability with which one false effect exceeds the long-run variance's factor; among a hundred candidates 1 %.
-CHANCE = 1e-4
 # Relative distance from the limit of a parameter's range within which a value is at the limit; fits end there within
 # rounding errors, or within the tolerance of a logarithmic parameter.
 AT_LIMIT = 0.01
-# An error in an effect's form is not removed by another form to less than a fiftieth of the error beyond the noise
-# (Stribeck friction of a wrong exponent beside drag, synthetic rigs).
-CORRECTION_REMAINDER = 0.02
-# Chi-squared per sample from which enough error is visible to tell a correction of a form from an effect.
-CLEAR_ERROR = 5.0
 # Top speed under rated voltage with / without the effects. Even absent friction does not double it.
 LARGEST_SPEED_RATIO = 5.0
 
@@ -33,15 +27,15 @@ NO_GAIN = "does not reduce the error of the held-out runs"
 
 @dataclass(frozen=True)
 class Chance:
-    """A reduction of the cost, and how much the correlation of the residual in time raises what chance reaches.
+    """A reduction of the cost, and what decides how much chance reaches.
 
     Attributes:
         gain: Reduction of the cost by the effect.
-        variance: Long-run variance of the residual in the effect's direction / variance of white noise.
+        variance: Variance of the residual in the effect's direction.
     """
 
     gain: float
-    variance: float
+    variance: LongRunVariance
 
 
 @dataclass(frozen=True)
@@ -216,21 +210,16 @@ def fault_of_machine(behavior: MachineBehavior) -> str:
     return ""
 
 
-def exceeds_chance(chance: Chance, criteria: SelectionCriteria) -> bool:
-    """Return whether a reduction of the cost is larger than the best of many false candidates reaches by chance."""
-    return chance.gain >= criteria.min_chance_gain * chance.variance
-
-
 def _by_chance(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
     """Return that chance may explain the gain because the remaining error is correlated, "" if it cannot.
 
     In doubt, the gain with the next narrower observer decides: an observer hides slow errors, and with them what an
     effect explains, whereas model error imitates an effect the less, the longer it adds up.
     """
-    if exceeds_chance(evidence.chance(), criteria):
-        return ""
-    if evidence.chance_narrower is not None and exceeds_chance(evidence.chance_narrower(), criteria):
-        return ""
+    for chance in filter(None, (evidence.chance, evidence.chance_narrower)):
+        measured = chance()
+        if exceeds_chance(measured.gain, measured.variance, criteria):
+            return ""
     return BY_CHANCE
 
 
@@ -255,9 +244,8 @@ def _form_error(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
     """Return that an effect may be an error in the form of one of another family, "" if nothing speaks for that."""
     # What an inexact form leaves has no simple formula itself. An effect that removes nearly all of an error of several
     # times the noise is therefore no correction of another effect's form.
-    floor = noise_floor(evidence.without, criteria)
-    before, after = evidence.without.chi2, evidence.with_effect.chi2
-    if before > CLEAR_ERROR and after - floor < CORRECTION_REMAINDER * (before - floor):
+    before, after = evidence.without, evidence.with_effect
+    if before.chi2 > FAR and after.excess < criteria.max_remaining * before.excess:
         return ""
     for addition in evidence.additions():
         if addition.fraction < criteria.max_form_error:
@@ -293,7 +281,7 @@ class TimingEvidence:
     Attributes:
         search: Costs without and with the effect, with the observer of the search.
         wide: The same with the wider observer.
-        variance: Long-run variance of the residual in the effect's direction, with the wider observer.
+        variance: Function that returns the variance of the residual in the effect's direction, with the wider observer.
         confirmed: Reduction of the cost in runs to which the effect was not fitted, with the wider observer.
         fault: Why the machine with the effect is not physical.
         held_out_denies: Function that returns whether the held-out runs excite the effect and deny it.
@@ -301,7 +289,7 @@ class TimingEvidence:
 
     search: tuple[float, float]
     wide: tuple[float, float]
-    variance: Measured
+    variance: Callable[[], LongRunVariance]
     confirmed: Measured
     fault: Callable[[], str]
     held_out_denies: Callable[[], bool]
@@ -324,12 +312,12 @@ def doubt_about_timing(evidence: TimingEvidence, criteria: SelectionCriteria) ->
 
     Args:
         evidence: What the fitted and the held-out runs say.
-        criteria: Decision thresholds `min_chance_gain` and `min_confirmed_fraction`.
+        criteria: Decision thresholds `chance` and `min_confirmed_fraction`.
     """
     gain = evidence.wide[0] - evidence.wide[1]
     if removed_fraction(*evidence.wide) <= max(removed_fraction(*evidence.search), 0.0):
         return "explains a slow error, not a fast one"
-    if not exceeds_chance(Chance(gain, evidence.variance()), criteria):
+    if not exceeds_chance(gain, evidence.variance(), criteria):
         return BY_CHANCE
     if not _is_confirmed(gain, evidence.confirmed(), criteria):
         return "is not confirmed by runs that it was not fitted to"

@@ -31,13 +31,15 @@ class FitError:
         count: Number of independent measured values.
         bandwidth: Bandwidth of the observer that corrects the predictions by the measurements, rad/s; 0 for a
             simulation.
-        one_step: Whether this is the widest observer (60 rad/s), which feeds back the sensors' noise.
+        widest: Whether this is the widest observer (60 rad/s), which feeds back the sensors' noise.
+        floor: Chi-squared per sample of an exact machine with this observer: 1 / (1 - position gain).
     """
 
     cost: float
     count: float
     bandwidth: float = 0.0
-    one_step: bool = False
+    widest: bool = False
+    floor: float = 1.0
 
     @property
     def chi2(self) -> float:
@@ -45,37 +47,27 @@ class FitError:
         return self.cost / self.count
 
     @property
+    def excess(self) -> float:
+        """Chi-squared per sample beyond that of an exact machine, dimensionless, at least 0."""
+        return max(self.chi2 - self.floor, 0.0)
+
+    @property
     def simulated(self) -> bool:
         """Whether it is the error of a simulation, without an observer."""
         return self.bandwidth == 0.0
 
 
-def noise_floor(error: FitError, criteria: SelectionCriteria) -> float:
-    """Return chi-squared per sample, dimensionless, of a correct model: 1, with the widest observer `one_step_floor`.
-
-    Args:
-        error: Error of any fit with the same observer.
-        criteria: Decision thresholds.
-    """
-    return criteria.one_step_floor if error.one_step else 1.0
-
-
 def required_gain(error: FitError, criteria: SelectionCriteria) -> float:
     """Return the smallest reduction of chi-squared per sample for which an effect is selected.
 
-    It is the largest of three limits: one for the observer, because the residual of the widest is correlated; one for
-    short recordings, in which chance explains more; and a fraction of the error beyond the noise.
-
     Args:
         error: Error without the effect.
-        criteria: Decision thresholds `min_gain_one_step`, `min_gain_simulation`, `min_total_gain`, `min_gain_fraction`.
+        criteria: Decision thresholds `min_gain` and `min_gain_fraction`.
 
     Returns:
         Reduction of chi-squared per sample, dimensionless.
     """
-    of_observer = criteria.min_gain_one_step if error.one_step else criteria.min_gain_simulation
-    excess = error.chi2 - 1.0
-    return max(of_observer, criteria.min_total_gain / error.count, criteria.min_gain_fraction * excess)
+    return max(criteria.min_gain, criteria.min_gain_fraction * error.excess)
 
 
 def is_enough(without: FitError, with_effect: FitError, enough: float) -> bool:
@@ -89,23 +81,18 @@ def is_enough(without: FitError, with_effect: FitError, enough: float) -> bool:
     return not without.cost - with_effect.cost < enough * without.count
 
 
-def explains(
-    error: FitError, initial_chi2: float, criteria: SelectionCriteria, *, without_effects: bool
-) -> bool:
-    """Return whether a machine explains the data: it leaves only noise, or a negligible part of the initial error.
+def explains(error: FitError, criteria: SelectionCriteria, *, without_effects: bool) -> bool:
+    """Return whether a machine explains the data.
 
     A machine without effects that needs the widest observer explains nothing, although the observer leaves no error:
     forces of unknown size are missing. Rigs with a negligible residue needed 15 to 30 rad/s.
 
     Args:
         error: Error at the most likely observer bandwidth.
-        initial_chi2: Chi-squared per sample of the first fit, without effects, dimensionless.
-        criteria: Decision thresholds `explained_chi2` and `explained_fraction`.
+        criteria: Decision threshold `explained_chi2`.
         without_effects: Whether the machine has no other effects than the declared one.
     """
-    if without_effects and error.one_step:
-        return False
-    return error.chi2 < max(criteria.explained_chi2, criteria.explained_fraction * initial_chi2)
+    return nearly_explains(error, criteria) and not (without_effects and error.widest)
 
 
 def nearly_explains(error: FitError, criteria: SelectionCriteria) -> bool:
@@ -114,21 +101,30 @@ def nearly_explains(error: FitError, criteria: SelectionCriteria) -> bool:
 
 
 def only_noise_is_left(error: FitError, criteria: SelectionCriteria) -> bool:
-    """Return whether nothing but noise is left."""
-    return not error.chi2 > criteria.noise_level
+    """Return whether nothing but noise is left: no effect can reduce the error by `min_gain`."""
+    return error.chi2 <= 1.0 + criteria.min_gain
 
 
-def unexplained_fraction(error: FitError, best: FitError | None, criteria: SelectionCriteria) -> float:
+def unexplained_fraction(error: FitError, best: FitError | None) -> float:
     """Return which fraction of an error beyond the noise remains with the best trial.
 
     Args:
         error: Error without a trial.
         best: Smallest error of a trial, with the same observer; None without trials.
-        criteria: Decision threshold `one_step_floor`.
 
     Returns:
-        Fraction, dimensionless, at most 1; 1 without trials, negative if less than a correct model's error is left.
+        Fraction, dimensionless, from 0 to 1; 1 without trials.
     """
-    floor = noise_floor(error, criteria)
-    smallest = error.chi2 if best is None else best.chi2
-    return min(1.0, (smallest - floor) / max(error.chi2 - floor, 1e-9))
+    return 1.0 if best is None else min(1.0, best.excess / max(error.excess, 1e-9))
+
+
+def is_better_start(predicted: tuple[float, float], simulated: tuple[float, float]) -> bool:
+    """Return whether the refit starts better from the values of a plain fit than from the declared ones.
+
+    Args:
+        predicted: Costs of the refits from the plain and from the declared values, with the widest observer,
+            dimensionless; the second may be infinite.
+        simulated: Costs of the same machines in simulation, dimensionless.
+    """
+    plain, declared = predicted
+    return AS_GOOD * plain < declared or (plain < declared and CLEAR * simulated[0] < simulated[1])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from .chance import LongRunVariance, chance_gain
 from .criteria import SelectionCriteria
 from .error import CLEAR, FitError
 
@@ -14,10 +15,9 @@ def equal_margin(without: FitError, best_cost: float, criteria: SelectionCriteri
     Args:
         without: Error without any of the trials.
         best_cost: Smallest cost of a trial, dimensionless.
-        criteria: Decision thresholds `rival_gain_margin` and `rival_gain_fraction`.
+        criteria: Decision threshold `rival_gain_fraction`.
     """
-    gain = without.cost - best_cost
-    return max(criteria.rival_gain_margin * without.count, (1.0 - criteria.rival_gain_fraction) * gain)
+    return (1.0 - criteria.rival_gain_fraction) * (without.cost - best_cost)
 
 
 def preference(cost: float, parameters: int, limit: float) -> tuple[bool, int]:
@@ -50,15 +50,15 @@ class RivalEvidence:
     known: bool = True
 
 
-def chance_margin(variance: float, count: float, criteria: SelectionCriteria) -> float:
+def chance_margin(variance: LongRunVariance, count: float, criteria: SelectionCriteria) -> float:
     """Return the difference of two losses that chance may cause, dimensionless.
 
     Args:
-        variance: Long-run variance of the residual in the effect's direction / that of white noise, dimensionless.
+        variance: Variance of the residual in the effect's direction.
         count: Number of measured values, dimensionless.
-        criteria: Decision threshold `min_chance_gain`.
+        criteria: Decision threshold `chance`.
     """
-    return criteria.min_chance_gain * variance / count
+    return chance_gain(variance, criteria) / count
 
 
 def is_likelier(evidence: RivalEvidence, least: float) -> bool:
@@ -81,13 +81,13 @@ def remains_rival(evidence: RivalEvidence) -> bool:
     return evidence.rival_loss <= evidence.loss + margin
 
 
-def largest_resembling_loss(variance: float, criteria: SelectionCriteria) -> float:
+def largest_resembling_loss(variance: LongRunVariance, criteria: SelectionCriteria) -> float:
     """Return the increase of chi-squared, dimensionless, up to which these runs may not distinguish two effects.
 
     It is known to first order only, so that it must be clearly larger than what chance may cause.
 
     Args:
-        variance: Long-run variance of the residual in the effect's direction / that of white noise, dimensionless.
-        criteria: Decision threshold `min_chance_gain`.
+        variance: Variance of the residual in the effect's direction.
+        criteria: Decision threshold `chance`.
     """
-    return CLEAR * criteria.min_chance_gain * variance
+    return CLEAR * chance_gain(variance, criteria)

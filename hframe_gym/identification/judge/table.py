@@ -5,21 +5,11 @@ A table has two dozen values and fits almost any residual; one over the wrong va
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from .criteria import SelectionCriteria
-from .error import CLEAR, FAR, FitError, is_enough, required_gain
-
-
-def required_table_gain(error: FitError, criteria: SelectionCriteria) -> float:
-    """Return the smallest reduction of chi-squared per sample, dimensionless, for which a table is added.
-
-    Args:
-        error: Error without the table, with the widest observer.
-        criteria: Decision thresholds `min_table_gain`, `min_table_gain_fraction` and `one_step_floor`.
-    """
-    excess = error.chi2 - criteria.one_step_floor
-    return max(criteria.min_table_gain, criteria.min_table_gain_fraction * excess)
+from .error import AS_GOOD, CLEAR, FAR, FitError, is_enough, required_gain
 
 
 def confirms_table(left_out_ratio: float, criteria: SelectionCriteria) -> bool:
@@ -84,3 +74,22 @@ def accepts_table(evidence: TableEvidence) -> bool:
     """
     with_effects = (CLEAR if evidence.effects > 1 else FAR) * evidence.cost < evidence.with_effects
     return evidence.explained or (with_effects and FAR * evidence.cost < evidence.refitted)
+
+
+def recommended_formula(errors: Sequence[float]) -> int | None:
+    """Return which formula takes the place of a table: the simplest one that is as good as the best; None without any.
+
+    Args:
+        errors: Root mean square errors of the formulas, in units of the noise, the simplest formula first.
+    """
+    return next((i for i, error in enumerate(errors) if error**2 <= AS_GOOD * min(errors) ** 2), None)
+
+
+def is_better_than_table(formula: float, table: float) -> bool:
+    """Return whether a formula is better than the table in whose place it is.
+
+    Args:
+        formula: Root mean square error with the formula on the held-out runs, in units of the noise.
+        table: The same with the table, in units of the noise.
+    """
+    return AS_GOOD * formula**2 < table**2

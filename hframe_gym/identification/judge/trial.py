@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from .criteria import SelectionCriteria
-from .error import FitError, nearly_explains, noise_floor, only_noise_is_left, unexplained_fraction
+from .error import FitError, nearly_explains, only_noise_is_left, unexplained_fraction
 
 
 def least_promise(enough: float, count: float, best: float, criteria: SelectionCriteria) -> float:
@@ -36,7 +36,7 @@ def promises_enough_force(size: float, residue: float, criteria: SelectionCriter
 
 def explains_alone(error: FitError, best: FitError | None, criteria: SelectionCriteria) -> bool:
     """Return whether the best trial explains the data, so that only its possible rivals are fitted as well."""
-    return unexplained_fraction(error, best, criteria) < criteria.rival_remainder
+    return unexplained_fraction(error, best) < criteria.rival_remainder
 
 
 def may_be_rival(promise: float, explaining: float, criteria: SelectionCriteria) -> bool:
@@ -97,7 +97,7 @@ class StructureEvidence:
         best: Smallest error of a trial with another effect; None without trials.
         best_remembers: Whether this trial adds a force with memory; friction with memory, a structure, is similar.
         failed_bandwidth: Bandwidth at which structures were last tried in vain, rad/s; not a number if never.
-        failed_excess: Chi-squared per sample - 1 at that time.
+        failed_excess: Excess of the error at that time.
     """
 
     error: FitError
@@ -119,14 +119,13 @@ def is_worth_structures(evidence: StructureEvidence, criteria: SelectionCriteria
     error = evidence.error
     if (
         error.bandwidth == evidence.failed_bandwidth
-        and error.chi2 - 1.0 > criteria.structural_retry * evidence.failed_excess
+        and error.excess > criteria.structural_retry * evidence.failed_excess
     ):
         return False
     if evidence.best_remembers:
         return True
-    left = unexplained_fraction(error, evidence.best, criteria)
-    excess = error.chi2 - noise_floor(error, criteria)
-    return left > criteria.structural_remainder and excess > criteria.min_structural_excess
+    left = unexplained_fraction(error, evidence.best)
+    return left > criteria.structural_remainder and error.excess > criteria.min_structural_excess
 
 
 def is_worth_convergence(

@@ -146,11 +146,11 @@ class PartialEvidence:
     """Errors of the machine with effects and of the refitted machine, in units of the noise.
 
     Attributes:
-        wide: Chi-squared per sample with the widest observer, which hides slow errors: with effects, without.
+        wide: Errors with the widest observer, which hides slow ones: with effects, without.
         simulated: Chi-squared per sample of the simulation: with effects, without.
     """
 
-    wide: tuple[float, float]
+    wide: tuple[FitError, FitError]
     simulated: tuple[float, float]
 
 
@@ -159,9 +159,9 @@ def explains_most(evidence: PartialEvidence, criteria: SelectionCriteria) -> boo
 
     Args:
         evidence: Errors with and without effects.
-        criteria: Decision thresholds `max_partial_excess` and `one_step_floor`.
+        criteria: Decision threshold `max_partial_excess`.
     """
-    wide, wide_before = (max(chi2 - criteria.one_step_floor, 0.0) for chi2 in evidence.wide)
+    wide, wide_before = (error.excess for error in evidence.wide)
     error, error_before = (math.sqrt(max(chi2 - 1.0, 0.0)) for chi2 in evidence.simulated)
     limit = criteria.max_partial_excess
     return wide < limit * wide_before or error < limit * error_before
@@ -200,7 +200,7 @@ def verdict_of_rest(
         runs_differ: Function that returns whether another value of a parameter in each run explains the runs, as no
             effect can.
         evidence: Function that returns the errors with and without effects.
-        criteria: Decision thresholds `max_partial_excess` and `one_step_floor`.
+        criteria: Decision threshold `max_partial_excess`.
     """
     if any_effect and not runs_differ() and explains_most(evidence(), criteria):
         return "effect_found", ""
@@ -263,10 +263,6 @@ def final_verdict(verdict: Verdict, *, any_effect: bool) -> Verdict:
     return "effect_found" if any_effect and verdict == "no_effect" else verdict
 
 
-# Ratio of errors on the held-out runs beyond which a plain fit is better; smaller differences are chance.
-AS_GOOD_AS_PLAIN = 1.01
-
-
 def is_worse_than_plain(ratio: float, left: float, criteria: SelectionCriteria) -> bool:
     """Return whether a machine predicts the held-out runs worse than a plain fit of inertia and friction.
 
@@ -275,9 +271,9 @@ def is_worse_than_plain(ratio: float, left: float, criteria: SelectionCriteria) 
     Args:
         ratio: Ratio of its simulation error to that of the plain fit.
         left: Its simulation error in units of the noise; not a number if it diverges.
-        criteria: Decision threshold `max_noise_ratio_explained`.
+        criteria: Decision thresholds `min_gain`, for the ratio of the squared errors, and `max_noise_ratio_explained`.
     """
-    return ratio > AS_GOOD_AS_PLAIN and not left <= criteria.max_noise_ratio_explained
+    return ratio**2 > 1.0 + criteria.min_gain and not left <= criteria.max_noise_ratio_explained
 
 
 def needs_description(verdict: Verdict, names: int, left: float, criteria: SelectionCriteria) -> bool:

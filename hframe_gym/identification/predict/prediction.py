@@ -90,6 +90,25 @@ def sensor_bandwidths(machine: Machine, bandwidth: float) -> Array:
     return np.asarray(bandwidth * np.array(ratios))
 
 
+def innovation_variance(machine: Machine, data: Dataset, bandwidth: float) -> tuple[float, float]:
+    """Return the variance that innovations (errors before an observer's correction) of an exact machine have.
+
+    Args:
+        machine: Machine with its sensors.
+        data: Runs to predict (times, voltages, measurements, SI).
+        bandwidth: Bandwidth of the observer, rad/s; 0 for a simulation, whose errors are the noise.
+
+    Returns:
+        Means of the ratio (variance / noise variance) and of its logarithm over all measured values, dimensionless.
+    """
+    # Position gain K of a critically damped observer: twice the bandwidth times the sampling period.
+    gains = 2.0 * sensor_bandwidths(machine, bandwidth) * data.period
+    variance = 1.0 / (1.0 - np.minimum(gains, 0.9))  # (sensors,)
+    counts = np.sum([run.weights.sum(axis=0) for run in data.runs], axis=0)  # (sensors,)
+    weights = counts / counts.sum()
+    return float(weights @ variance), float(weights @ np.log(variance))
+
+
 def observer_gains(machine: Machine, period: float, bandwidth: float = SEARCH_BANDWIDTH) -> Array:
     """Return the gains of the Luenberger observer that feeds measurements back into a prediction.
 

@@ -32,6 +32,7 @@ from ..fit.estimation import Fit, fit, prediction_cost
 from ..fit.force_sizes import typical_scales
 from ..fit.residual import channel_errors
 from ..fit.start_estimation import refine_dataset
+from ..judge.table import recommended_formula
 from ..predict.free_parameters import FreeParameter, default_free_parameters
 from ..predict.prediction import POLISH_STEP, SEARCH_BANDWIDTH, SEARCH_STEP, SIMULATION
 from ..propose.candidates import effect_parameters
@@ -40,7 +41,6 @@ from .result import IdentificationResult
 Array = NDArray[np.float64]
 _NAME = "proposed"  # Name of a formula as an effect until the user chooses one.
 _MAX_FORMULAS = 3  # per table
-_CLOSE = 1.1  # Errors up to this times the smallest are close to it.
 _ITERATIONS = 12  # of Levenberg-Marquardt; a formula starts close to its table.
 
 
@@ -274,7 +274,7 @@ def mean_error(errors: Mapping[str, float]) -> float:
 def _with_recommendation(formulas: Sequence[ProposedFormula]) -> tuple[ProposedFormula, ...]:
     """Return the formulas with the recommended one marked (see the module's docstring)."""
     errors = [max(1.0, p.effect.formula.error) if p.fitted is None else p.fitted for p in formulas]
-    recommended = next((i for i, error in enumerate(errors) if error <= _CLOSE * min(errors)), None)
+    recommended = recommended_formula(errors)
     return tuple(dataclasses.replace(p, recommended=i == recommended) for i, p in enumerate(formulas))
 
 

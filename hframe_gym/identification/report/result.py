@@ -29,6 +29,7 @@ from ..fit.residual import (
     smooth_force_residual,
 )
 from ..judge.criteria import SelectionCriteria
+from ..judge.table import is_better_than_table
 from ..judge.verdict import Verdict
 from ..validate.machine_errors import ModelEvaluation, PredictionErrors
 from ..validate.plain_comparison import PlainResult
@@ -38,7 +39,6 @@ from .provenance import provenance
 Array = NDArray[np.float64]
 SCHEMA = 1
 STAGES = ("declared", "before", "after")  # keys of the three machines in report.json
-_CLEARLY_LESS = 0.9  # Fraction of a table's error below which that of a formula is mentioned.
 _MAX_POINTS = 4000  # Points of a thinned curve in evidence.npz.
 
 
@@ -412,7 +412,7 @@ def reason_of_remainder(report: Mapping[str, Any]) -> str:
         if f["recommended"] and f["held_out"]
     }
     error = min(formulas, default=math.inf)  # ratio of simulation error to noise, as `left`
-    if error < _CLEARLY_LESS * report["left"]:
+    if is_better_than_table(error, report["left"]):
         return f"; with the proposed formula ({formulas[error]}) in place of the table, it is {number(error)} times"
     return ". A table has straight pieces and names no cause" if tables else ", whose cause was not found"
 

@@ -186,7 +186,7 @@ class EffectSearch:
         best = self._best(current, trials, enough)
         if best is None:
             if structures:
-                self._structures_failed = (current.bandwidth, current.chi2 - 1.0)
+                self._structures_failed = (current.bandwidth, current.error.excess)
             return None
         return current, selected_first(best, trials)
 

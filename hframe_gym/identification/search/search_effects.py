@@ -23,7 +23,7 @@ from ..fit.run_differences import RunDifferences, find_run_differences
 from ..fit.run_observers import fit_run_by_run
 from ..fit.start_estimation import refine_dataset
 from ..judge.criteria import SelectionCriteria
-from ..judge.error import explains, required_gain
+from ..judge.error import FitError, explains, is_enough, nearly_explains, required_gain
 from ..judge.run import differs_in_a_parameter, uses_all_runs
 from ..judge.table import TableEvidence, accepts_table
 from ..judge.verdict import (
@@ -152,7 +152,7 @@ def _search_with_suspect(
         return in_all_runs()
     log(f"searching for effects without {suspect}")
     extended = _fitted_to_all(others.selection, data)
-    if extended[1] and _explains_all(extended[0], others, criteria):
+    if extended[1] and nearly_explains(extended[0].error, criteria):
         return all_runs.run(extended)
     outcome = others.run()
     if not outcome.explained:
@@ -167,7 +167,7 @@ def _search_with_suspect(
     one_more = dataclasses.replace(criteria, max_effects=len(outcome.selected) + 1)
     search = EffectSearch(data, all_runs.before.machine, one_more, log)
     extended = search.run(*_fitted_to_all((outcome.after, outcome.selected), data))
-    if _explains_all(extended[0], others, criteria):
+    if nearly_explains(extended[0].error, criteria):
         log(f"{suspect} is used")
         return all_runs.run(extended)
     return without_suspect(outcome)
@@ -178,11 +178,6 @@ def _fitted_to_all(selection: Selection, data: Dataset) -> Selection:
     fitted, effects = selection
     wide = converge(continue_fit(fitted, data, SEARCH_BANDWIDTH), data, thorough=True)
     return polish(fit_with_model_error(wide, data), data), effects
-
-
-def _explains_all(fitted: Fit, others: _Search, criteria: SelectionCriteria) -> bool:
-    """Return whether a machine with effects explains all runs, measured by the error of the others without effects."""
-    return explains(fitted.error, others.base.chi2, criteria, without_effects=False)
 
 
 def _differs_in_a_parameter(
@@ -312,9 +307,7 @@ class _Search:
         evidence = DriftEvidence(
             depends_on_time=any(hook and "t" in argument_names(hook) for hook in hooks),
             explained=lambda: self._explains(self._refined(after)),
-            wide=lambda: (
-                dataclasses.replace(after, bandwidth=SEARCH_BANDWIDTH, cost=self._wide_cost(after)).error
-            ),
+            wide=lambda: self._wide_error(after),
             by_run=lambda: self._difference.chi2 if self._difference else None,
         )
         imitated = imitates_drift(evidence, self._criteria)
@@ -390,7 +383,7 @@ class _Search:
             found_at, search = current, self._new_search(search.with_data(refined))
             search.reached = current, effects
             current = fit_with_model_error(polish(current, refined), refined)
-            lower = current.chi2 < found_at.chi2 - required_gain(found_at.error, criteria)
+            lower = is_enough(found_at.error, current.error, required_gain(found_at.error, criteria))
             if lower or current.bandwidth != found_at.bandwidth:
                 current, effects = search.run(current, effects)
         if effects or self._explains(
@@ -429,14 +422,15 @@ class _Search:
                 refined = polish(fit_with_model_error(fitted, data), data)
                 candidate, kept = EffectSearch(data, self.before.machine, criteria, log).prune(refined, more)
                 replaced = len(effects) if start is self.base else 0
-                errors = self._wide_cost(candidate), self.base.cost, wide.cost
-                if kept and accepts_table(TableEvidence(self._explains(candidate), *errors, replaced)):
+                costs = self._wide_error(candidate).cost, self.base.cost, wide.cost
+                if kept and accepts_table(TableEvidence(self._explains(candidate), *costs, replaced)):
                     return candidate, kept
         return None
 
-    def _wide_cost(self, fitted: Fit) -> float:
-        """Return the cost of a machine at the largest observer bandwidth, common to all machines."""
-        return prediction_cost(fitted.machine, self._data, SEARCH_BANDWIDTH)
+    def _wide_error(self, fitted: Fit) -> FitError:
+        """Return the error of a machine at the largest observer bandwidth, common to all machines."""
+        cost = prediction_cost(fitted.machine, self._data, SEARCH_BANDWIDTH)
+        return dataclasses.replace(self.base, cost=cost).error
 
     def _partial_evidence(self, after: Fit) -> PartialEvidence:
         """Return the errors of a machine with effects and of the refitted machine, per sample."""
@@ -446,11 +440,11 @@ class _Search:
             return prediction_cost(self._refined(fitted).machine, self._data, SIMULATION) / count
 
         return PartialEvidence(
-            wide=(self._wide_cost(after) / count, self._wide_cost(self.base) / count),
+            wide=(self._wide_error(after), self._wide_error(self.base)),
             simulated=(simulated(after), simulated(self.before)),
         )
 
     def _explains(self, after: Fit) -> bool:
-        """Return whether a fit leaves only the sensors' noise, or a negligible part of the initial residual."""
+        """Return whether a fit explains the runs (`judge.error.explains`)."""
         bare = after.machine.effects == self.before.machine.effects
-        return explains(after.error, self.base.chi2, self._criteria, without_effects=bare)
+        return explains(after.error, self._criteria, without_effects=bare)

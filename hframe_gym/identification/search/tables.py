@@ -27,7 +27,7 @@ from ..fit.model_error import continue_fit, left_out_costs
 from ..fit.residual import HIGHEST_FREQUENCY, missing_force
 from ..judge import table as judge
 from ..judge.criteria import SelectionCriteria
-from ..judge.error import is_enough
+from ..judge.error import is_enough, required_gain
 from ..predict.free_parameters import prior_precision
 from ..predict.prediction import SEARCH_BANDWIDTH, map_runs, predict
 from ..propose.candidates import Candidate
@@ -232,8 +232,7 @@ def add_tables(
         current: Fit of the machine with the effects selected so far; all fits have its observer bandwidth.
         selected: Effects (deviations from the nominal model) selected so far.
         data: Prepared recordings to fit (times, voltages, measurements, SI).
-        criteria: Decision thresholds. A table must reduce chi-squared per sample by at least `min_table_gain`, and by
-            at least `min_table_gain_fraction` times (chi-squared per sample of `current` - `one_step_floor`).
+        criteria: Decision thresholds. A table must reduce chi-squared per sample by as much as an effect.
         max_tables: Largest number of tables to add.
         log: Called with a line of text for every table that passes cross-validation.
 
@@ -248,7 +247,7 @@ def add_tables(
         proposals = table_candidates(current.machine, data, scales, criteria)
         spend(f"screening {len(proposals)} tables of force and friction")
         ranked = screen(current, proposals, data)
-        min_gain = judge.required_table_gain(current.error, criteria)
+        min_gain = required_gain(current.error, criteria)
         proposed = (s for s in ranked[: criteria.max_screened_tables] if s.gain > min_gain * data.count)
         trials = (fit_with_candidate(current, s, scales, data) for s in proposed)
         confirmed = (

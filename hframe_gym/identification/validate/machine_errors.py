@@ -20,11 +20,9 @@ from ..fit.force_sizes import force_error, lacking_force
 from ..fit.residual import ChannelError, errors_by_channel
 from ..fit.start_estimation import refine_dataset
 from ..judge.criteria import SelectionCriteria
+from ..judge.sensor import SensorEvidence, deviates_alone
 from ..predict.prediction import map_runs
 from .recording_simulation import simulate_recording
-
-# A sensor deviates alone if its error is clear, and the others have less than a fifth of what the motion would cause.
-_CLEAR_ERROR, _AGREEING = 3.0, 0.2  # multiple of the noise; fraction
 
 
 @dataclass(frozen=True)
@@ -89,7 +87,7 @@ class ModelEvaluation:
 
     @property
     def deviating_sensors(self) -> tuple[str, ...]:
-        """Channels whose error is above 3 times their noise although other sensors of the same motion agree.
+        """Channels whose error is no noise although other sensors of the same motion agree (`judge.sensor`).
 
         Belts stretch little, so if a carriage moved otherwise than simulated, the encoders of the pulleys would deviate
         as well. If only the sensor of the carriage deviates, the cause is that sensor, its mounting, or the part of the
@@ -99,19 +97,17 @@ class ModelEvaluation:
         rows = dict(zip(self.machine.output_channels, self.machine.sensor_matrix, strict=True))
         rmse = {channel: error.rmse for channel, error in errors.items() if error.rmse is not None}
 
-        def is_refuted(channel: str, motion: Array) -> bool:
-            """Return whether other sensors exclude that the error of a sensor is one of this motion."""
+        def ratios(channel: str, motion: Array) -> list[float]:
+            """Return the errors of other sensors / those that they would have after such an error of the motion."""
             amount = rmse[channel] / abs(float(rows[channel] @ motion))
-            expected = {
-                other: amount * abs(float(rows[other] @ motion)) for other in rmse if other != channel
-            }
-            seen = [rmse[other] < _AGREEING * change for other, change in expected.items() if change > 0.0]
-            return bool(seen) and all(seen)
+            others = [other for other in rmse if other != channel and rows[other] @ motion]
+            return [rmse[other] / (amount * abs(float(rows[other] @ motion))) for other in others]
 
         def deviates(channel: str) -> bool:
             motions = [motion for motion in rigid_motions(self.machine).values() if rows[channel] @ motion]
-            clear = (errors[channel].noise_ratio or 0.0) > _CLEAR_ERROR
-            return clear and bool(motions) and all(is_refuted(channel, motion) for motion in motions)
+            of_others = [ratios(channel, motion) for motion in motions]
+            evidence = SensorEvidence(errors[channel].noise_ratio or 0.0, of_others)
+            return deviates_alone(evidence)
 
         return tuple(filter(deviates, rmse))
 

@@ -10,6 +10,7 @@ import pytest
 
 from hframe_gym.identification import SelectionCriteria
 from hframe_gym.identification.judge import effect as judge
+from hframe_gym.identification.judge.chance import LongRunVariance
 from hframe_gym.identification.judge.effect import (
     Addition,
     Chance,
@@ -40,7 +41,7 @@ def evidence(without: float = 1.4, with_effect: float = 1.2, **known: Any) -> Ef
         structural=False,
         confirmed=lambda: gain,
         fault=lambda: "",
-        chance=lambda: Chance(gain, 1.0),
+        chance=lambda: Chance(gain, LongRunVariance(1.0)),
         chance_narrower=None,
         forces=lambda: Forces(1.0, 0.1),
         forces_accurate=lambda: Forces(1.0, 0.1),
@@ -50,6 +51,11 @@ def evidence(without: float = 1.4, with_effect: float = 1.2, **known: Any) -> Ef
     eager = ("structural", "parameters")
     lazy = {n: v if n in eager or callable(v) else (lambda known=v: known) for n, v in known.items()}
     return dataclasses.replace(found, **lazy)
+
+
+def by_chance(gain: float, ratio: float) -> Chance:
+    """Return a reduction of the cost by an effect with one parameter; ratio of long-run variance to white noise."""
+    return Chance(gain, LongRunVariance(ratio))
 
 
 CHANCE = "reduces the error by no more than chance may, since the remaining error is correlated in time"
@@ -70,13 +76,16 @@ FORM = "adds 19 % to the force of drag@x, which depends on the same variable: th
             "is not confirmed by runs that it was not fitted to (their error grows with it)",
         ),
         ({"fault": "makes the machine diverge"}, "makes the machine diverge"),
-        ({"chance": Chance(2000.0, 65.0)}, ""),  # the smallest gain is 30 times the variance
-        ({"chance": Chance(2000.0, 68.0)}, CHANCE),
         (
-            {"chance": Chance(2000.0, 68.0), "chance_narrower": Chance(2100.0, 69.0)},
+            {"chance": by_chance(2000.0, 80.0)},
+            "",
+        ),  # with one parameter, the smallest gain is 24 times the variance
+        ({"chance": by_chance(2000.0, 85.0)}, CHANCE),
+        (
+            {"chance": by_chance(2000.0, 85.0), "chance_narrower": by_chance(2100.0, 80.0)},
             "",
         ),  # in doubt, the slow error
-        ({"chance": Chance(2000.0, 68.0), "chance_narrower": Chance(2000.0, 69.0)}, CHANCE),
+        ({"chance": by_chance(2000.0, 85.0), "chance_narrower": by_chance(2000.0, 85.0)}, CHANCE),
         ({"forces": Forces(0.202, 0.2)}, ""),
         (
             {"forces": Forces(0.198, 0.2), "forces_accurate": Forces(0.198, 0.1)},
@@ -110,7 +119,7 @@ def test_doubts_where_the_data_are_nearly_explained(known: dict[str, Any], reaso
     ("known", "candidate", "beside_others"),
     [
         ({"confirmed": 0.0}, "", "not confirmed"),
-        ({"chance": Chance(4000.0, 1e6)}, "", "chance"),
+        ({"chance": by_chance(4000.0, 1e6)}, "", "chance"),
         ({"fault": "diverges"}, "diverges", "diverges"),
         ({"forces": Forces(0.01, 1.0)}, "remain unexplained", "remain unexplained"),
     ],
@@ -135,7 +144,7 @@ def test_an_effect_must_reduce_the_error_beside_all_others(without: float, doubt
 
 @pytest.mark.parametrize(
     ("without", "with_effect", "sure"),
-    [(60.0, 1.1, True), (60.0, 3.0, False), (5.1, 1.0, True), (4.9, 1.0, False)],
+    [(60.0, 1.1, True), (60.0, 3.0, False), (10.1, 1.0, True), (9.9, 1.0, False)],
 )
 def test_an_effect_that_removes_a_clear_error_is_no_correction_of_a_form(
     without: float, with_effect: float, sure: bool
@@ -201,8 +210,8 @@ def test_a_machine_must_stay_physical(rises: bool, speeds: tuple[float, float], 
         ({}, ""),
         ({"search": (100.0, 90.0)}, "explains a slow error, not a fast one"),
         ({"search": (100.0, 110.0), "wide": (10.0, 10.1)}, "explains a slow error, not a fast one"),
-        ({"variance": lambda: 0.0333}, ""),  # the gain of 1 is thirty times that
-        ({"variance": lambda: 0.0334}, CHANCE),
+        ({"variance": lambda: LongRunVariance(0.04)}, ""),  # the gain of 1 is 25 times that
+        ({"variance": lambda: LongRunVariance(0.042)}, CHANCE),
         ({"confirmed": lambda: 0.31}, ""),
         ({"confirmed": lambda: 0.29}, "is not confirmed by runs that it was not fitted to"),
         ({"fault": lambda: "diverges"}, "diverges"),
@@ -211,5 +220,7 @@ def test_a_machine_must_stay_physical(rises: bool, speeds: tuple[float, float], 
 )
 def test_a_delay_must_be_fast_certain_and_confirmed(changes: dict[str, Any], reason: str) -> None:
     """It removes 3 % of the error with the observer of the search, and 10 % with the wider one."""
-    sure = TimingEvidence((100.0, 97.0), (10.0, 9.0), lambda: 1e-3, lambda: 1.0, lambda: "", lambda: False)
+    sure = TimingEvidence(
+        (100.0, 97.0), (10.0, 9.0), lambda: LongRunVariance(1e-3), lambda: 1.0, lambda: "", lambda: False
+    )
     assert judge.doubt_about_timing(dataclasses.replace(sure, **changes), CRITERIA) == reason

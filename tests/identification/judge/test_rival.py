@@ -6,6 +6,7 @@ import pytest
 
 from hframe_gym.identification import SelectionCriteria
 from hframe_gym.identification.judge import rival as judge
+from hframe_gym.identification.judge.chance import LongRunVariance, chance_gain
 from hframe_gym.identification.judge.error import FitError
 from hframe_gym.identification.judge.rival import RivalEvidence
 
@@ -13,9 +14,8 @@ pytestmark = pytest.mark.unit
 CRITERIA = SelectionCriteria()
 
 
-@pytest.mark.parametrize(("best", "margin"), [(1.0, 0.03), (1.99, 0.002)])
-def test_the_margin_is_three_percent_of_the_gain_or_a_little_per_sample(best: float, margin: float) -> None:
-    assert judge.equal_margin(FitError(2e4, 1e4), best * 1e4, CRITERIA) == pytest.approx(margin * 1e4)
+def test_the_margin_is_three_percent_of_the_gain() -> None:
+    assert judge.equal_margin(FitError(2e4, 1e4), 1e4, CRITERIA) == pytest.approx(300.0)
 
 
 def test_of_equally_good_trials_the_simplest_comes_first() -> None:
@@ -51,5 +51,7 @@ def test_a_rival_replaces_the_effect_or_is_forgotten_by_its_likelihood(
 
 
 def test_what_chance_may_cause() -> None:
-    assert judge.chance_margin(2.0, 1e4, CRITERIA) == pytest.approx(60.0 / 1e4)
-    assert judge.largest_resembling_loss(2.0, CRITERIA) == pytest.approx(120.0)
+    variance = LongRunVariance(2.0, parameters=2)
+    least = chance_gain(variance, CRITERIA)
+    assert judge.chance_margin(variance, 1e4, CRITERIA) == pytest.approx(least / 1e4)
+    assert judge.largest_resembling_loss(variance, CRITERIA) == pytest.approx(2.0 * least)

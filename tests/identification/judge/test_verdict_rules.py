@@ -15,6 +15,11 @@ pytestmark = pytest.mark.unit
 CRITERIA = SelectionCriteria()
 
 
+def error(chi2: float) -> FitError:
+    """Return the error of a fit to 10,000 values with the widest observer."""
+    return FitError(chi2 * 1e4, 1e4, 60.0, widest=True, floor=1.1)
+
+
 @pytest.mark.parametrize(
     ("wide", "simulated", "most"),
     [
@@ -28,7 +33,8 @@ CRITERIA = SelectionCriteria()
 def test_effects_must_remove_three_quarters(
     wide: tuple[float, float], simulated: tuple[float, float], most: bool
 ) -> None:
-    assert judge.explains_most(PartialEvidence(wide, simulated), CRITERIA) == most
+    errors = error(wide[0]), error(wide[1])
+    assert judge.explains_most(PartialEvidence(errors, simulated), CRITERIA) == most
 
 
 @pytest.mark.parametrize(
@@ -61,7 +67,7 @@ def test_the_verdict_on_effects_of_the_library(
 def test_the_verdict_where_an_error_remains(
     any_effect: bool, runs_differ: bool, wide: float, verdict: Verdict
 ) -> None:
-    partial = PartialEvidence((wide, 10.0), (10.0, 10.0))
+    partial = PartialEvidence((error(wide), error(10.0)), (10.0, 10.0))
     decided, reason = judge.verdict_of_rest(any_effect, lambda: runs_differ, lambda: partial, CRITERIA)
     assert decided == verdict
     assert bool(reason) == (verdict == "unexplained")
@@ -71,7 +77,7 @@ def test_the_verdict_where_an_error_remains(
     ("over_time", "explained", "by_run", "imitated"),
     [
         (True, False, 1.2, True),
-        (True, False, 1.35, False),  # the difference is no better
+        (True, False, 1.36, False),  # the difference is no better
         (True, False, None, False),
         (True, True, 1.2, False),  # the effect explains the runs in simulation
         (False, False, 1.2, False),  # no effect over time
@@ -80,7 +86,7 @@ def test_the_verdict_where_an_error_remains(
 def test_an_effect_over_time_may_imitate_a_parameter_that_differs_from_run_to_run(
     over_time: bool, explained: bool, by_run: float | None, imitated: bool
 ) -> None:
-    wide = FitError(1.38e4, 1e4, 60.0, one_step=True)
+    wide = error(1.38)
     evidence = DriftEvidence(over_time, lambda: explained, lambda: wide, lambda: by_run)
     assert judge.imitates_drift(evidence, CRITERIA) == imitated
 
@@ -133,7 +139,8 @@ def test_effects_name_the_causes(matches: list[list[bool]], named: bool) -> None
     ("ratio", "left", "worse"),
     [
         (5.7, 3.0, True),
-        (1.005, 3.0, False),  # chance
+        (1.004, 3.0, False),  # chance
+        (1.006, 3.0, True),
         (5.7, 1.9, False),  # what noise explains is no error
         (float("inf"), float("nan"), True),  # it diverges
     ],
