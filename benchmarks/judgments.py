@@ -17,6 +17,7 @@ import dataclasses
 import functools
 import importlib
 import inspect
+import io
 import pickle
 import pkgutil
 import sys
@@ -34,7 +35,7 @@ from benchmarks import closed_loop_rigs, other_simulator_rigs
 from benchmarks.results_file import ROOT, data_root
 from benchmarks.scoring import score_names
 from hframe_gym.atomic_files import atomic_file
-from hframe_gym.identification import SelectionCriteria, identify, judge
+from hframe_gym.identification import Fit, SelectionCriteria, identify, judge
 from hframe_gym.identification.judge.criteria import SearchEffort
 from hframe_gym.identification.judge.effect import EffectEvidence
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
@@ -58,27 +59,29 @@ class Number:
     """Number of an evidence record that is computed when a rule asks for it, and kept.
 
     Args:
-        compute: Function without arguments that computes it.
+        compute: Function that computes it.
     """
 
-    def __init__(self, compute: Callable[[], Any]) -> None:
-        self._compute: Callable[[], Any] | None = compute
-        self._known: tuple[Any, ...] = ()
+    def __init__(self, compute: Callable[..., Any]) -> None:
+        self._compute: Callable[..., Any] | None = compute
+        self._known: list[tuple[tuple[Any, ...], Any]] = []
 
-    def __call__(self) -> Any:
-        """Return the number."""
-        if not self._known:
-            if self._compute is None:
-                raise UnknownEvidenceError
-            value = self._compute()
-            self._known = (tuple(value) if isinstance(value, Iterator) else value,)
-        return self._known[0]
+    def __call__(self, *arguments: Any) -> Any:
+        """Return the number, for arguments where a rule passes some."""
+        for known, value in self._known:
+            if known == arguments:
+                return value
+        if self._compute is None:
+            raise UnknownEvidenceError
+        value = self._compute(*arguments)
+        self._known.append((arguments, tuple(value) if isinstance(value, Iterator) else value))
+        return self._known[-1][1]
 
-    def __getstate__(self) -> tuple[Any, ...]:
-        """Return what is pickled: the number, if it is known."""
+    def __getstate__(self) -> list[tuple[tuple[Any, ...], Any]]:
+        """Return what is pickled: the known numbers by arguments."""
         return self._known
 
-    def __setstate__(self, known: tuple[Any, ...]) -> None:
+    def __setstate__(self, known: list[tuple[tuple[Any, ...], Any]]) -> None:
         """Restore a pickled number."""
         self._compute, self._known = None, known
 
@@ -317,13 +320,58 @@ def write(found: Record, folder: Path = FOLDER) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{found.rig.replace(':', '_')}.pickle"
     with atomic_file(path) as stream:
-        pickle.dump(found, stream)
+        stream.write(as_bytes(found))
     return path
 
 
 def read(folder: Path = FOLDER) -> list[Record]:
     """Read all records of a folder that `write` wrote; a pickle of another origin must not be read."""
-    return [pickle.loads(path.read_bytes()) for path in sorted(folder.glob("*.pickle"))]
+    return [from_bytes(path.read_bytes()) for path in sorted(folder.glob("*.pickle"))]
+
+
+class Chosen(NamedTuple):
+    """What stands in a record for a fit, between which a rule only chooses.
+
+    Attributes:
+        number: Number of the fit in the record.
+    """
+
+    number: int
+
+
+class _Writer(pickle.Pickler):
+    """Pickles records without the fits."""
+
+    def __init__(self, stream: io.BytesIO) -> None:
+        super().__init__(stream)
+        self._fits: list[Fit] = []
+
+    def persistent_id(self, obj: Any) -> Chosen | None:
+        if not isinstance(obj, Fit):
+            return None
+        if not any(obj is fit for fit in self._fits):
+            self._fits.append(obj)
+        return Chosen(next(i for i, fit in enumerate(self._fits) if fit is obj))
+
+
+class _Reader(pickle.Unpickler):
+    """Reads records without the fits."""
+
+    def persistent_load(self, pid: Chosen) -> Chosen:
+        return pid
+
+
+def as_bytes(found: Record) -> bytes:
+    """Return a record as bytes."""
+    stream = io.BytesIO()
+    _Writer(stream).dump(found)
+    return stream.getvalue()
+
+
+def from_bytes(content: bytes) -> Record:
+    """Return the record of `as_bytes`."""
+    found: Record = _Reader(io.BytesIO(content)).load()
+    return found
 
 
 class Threshold(NamedTuple):

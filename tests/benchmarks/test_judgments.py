@@ -2,16 +2,27 @@
 
 from __future__ import annotations
 
-import pickle
 from collections.abc import Iterator
 
 import pytest
 
-from benchmarks.judgments import Judgment, Record, Threshold, changed, changed_judgments, recorded, thresholds
-from hframe_gym.identification import SelectionCriteria
+from benchmarks.judgments import (
+    Chosen,
+    Judgment,
+    Record,
+    Threshold,
+    as_bytes,
+    changed,
+    changed_judgments,
+    from_bytes,
+    recorded,
+    thresholds,
+)
+from hframe_gym.identification import Fit, SelectionCriteria
 from hframe_gym.identification.judge import error, observer, table
 from hframe_gym.identification.judge.error import FitError
 from hframe_gym.identification.search import search_effects
+from tests.identification.scripted_fits import fit_with
 
 pytestmark = pytest.mark.unit
 WITHOUT, WITH = FitError(3e4, 1e4), FitError(2.7e4, 1e4)
@@ -19,7 +30,7 @@ WITHOUT, WITH = FitError(3e4, 1e4), FitError(2.7e4, 1e4)
 
 def record_of(judgments: list[Judgment]) -> Record:
     """Return a record, written and read again, so that nothing can be computed any more."""
-    return pickle.loads(pickle.dumps(Record("rig", "", "no_effect", {}, [], 0.0, judgments)))
+    return from_bytes(as_bytes(Record("rig", "", "no_effect", {}, [], 0.0, judgments)))
 
 
 def test_a_limit_that_another_rule_compares_is_computed_again() -> None:
@@ -47,17 +58,17 @@ def test_constants_are_changed_in_all_rules_that_use_them() -> None:
 
 
 def test_numbers_that_no_rule_asked_for_are_unknown() -> None:
-    def losses() -> Iterator[float]:
-        yield from (2.0, 2.5, 1.0)
+    fits = [fit_with(chi2=chi2) for chi2 in (3.0, 2.0, 2.5, 1.0, 9.0)]
+
+    def narrowing() -> Iterator[tuple[Fit, float]]:
+        yield from ((fitted, fitted.chi2) for fitted in fits[:4])
 
     with recorded() as judgments:
-        assert observer.likeliest_observer(3.0, losses(), lambda: 9.0) == 1
-    record = record_of(judgments)
-    assert record.judgments[0].again({}) == 1
-    more = Judgment("observer", "likeliest_observer", ((2.6, *record.judgments[0].arguments[0][1:]), {}), -1)
-    assert more.again({}) == 1
-    with pytest.raises(LookupError):  # the third loss was not asked for
-        list(record.judgments[0].arguments[0][1])
+        assert observer.likeliest(narrowing(), (fits[4], 9.0)) is fits[1]
+    (judgment,) = record_of(judgments).judgments
+    assert judgment.again({}) == judgment.result == Chosen(1)  # a record holds no fits
+    with pytest.raises(LookupError):  # the fourth loss was not asked for
+        list(judgment.arguments[0][0])
 
 
 def test_the_thresholds_are_the_fields_without_effort_and_the_constants_beside_rules() -> None:
