@@ -126,9 +126,9 @@ class MeasurementModel:
         machine = model.machine
         names = machine.coordinate_names
         self.channels = len(machine.sensors)
-        ranges = {e.site: e.parameters for e in machine.effects if e.name == "sensor_range"}
+        ranges = machine.measuring_ranges
         unlimited = dataclasses.replace(
-            machine, effects=tuple(e for e in machine.effects if e.name != "sensor_range")
+            machine, effects=tuple(e for e in machine.effects if not e.measuring_range)
         )
         equations = Equations(unlimited)
         zeros = np.zeros(len(names))
@@ -150,8 +150,8 @@ class MeasurementModel:
         # To first order in a sensor's delay d, it measures travel - d * velocity.
         delays = np.array(equations.measurement_delays(), np.float64)
         self.matrix: Array = np.hstack([positions, speeds - delays[:, None] * positions])
-        self._low = np.array([ranges.get(s.channel, {}).get("low", -np.inf) for s in machine.sensors])
-        self._high = np.array([ranges.get(s.channel, {}).get("high", np.inf) for s in machine.sensors])
+        limits = [ranges.get(s.channel, (-np.inf, np.inf)) for s in machine.sensors]
+        self._low, self._high = np.array(limits, np.float64).reshape(-1, 2).T
         noise = np.array([np.hypot(s.noise, s.resolution / np.sqrt(12.0)) for s in machine.sensors])
         self.variance: Array = (noise * self._unit) ** 2 + SMALLEST_NOISE_M**2
         if np.linalg.matrix_rank(positions @ model.rigid) < model.rigid.shape[1]:

@@ -3,13 +3,52 @@
 The range of the laser of Sollmann et al. (2010) ends at 100 mm (section V).
 """
 
+from __future__ import annotations
+
+import numpy as np
+
+from ..arrays import Array
 from ..dynamics.elementwise import maximum, minimum
 from ..machine import Effect, EffectParameter
+
+UNLIMITED = 10.0  # An end that was never reached is set to this multiple of the largest measurement.
+_END_FRACTION = (
+    0.005  # Fraction of the measurements at one outermost value above which it may be the end of a range.
+)
 
 
 def measurement(r, low, high):  # type: ignore[no-untyped-def]
     """Return the measurement of a sensor, m or rad: r, limited to the range from low to high."""
     return minimum(maximum(r, low), high)
+
+
+def starting_values(measured: Array, noise: float) -> list[dict[str, float]]:
+    """Return the ends at which a sensor may saturate: its outermost measurements, where many lie together.
+
+    Args:
+        measured: Measurements, m or rad, shape (m,).
+        noise: Standard deviation of their noise, m or rad.
+
+    Returns:
+        The lower end, the upper end, and both, m or rad; nothing if the sensor saturates at neither.
+    """
+    if len(measured) == 0:
+        return []
+    ends = []
+    for sign in (-1.0, 1.0):
+        outward = sign * measured
+        top = float(np.percentile(outward, 99.9))
+        outermost = outward > top - 4 * max(noise, 1e-12)
+        saturated = float(np.mean(outermost)) > _END_FRACTION
+        ends.append(sign * float(np.median(outward[outermost])) if saturated else None)
+    far = UNLIMITED * max(float(np.abs(measured).max()), 1e-6)
+    low, high = ends
+    choices = [(low, None), (None, high), (low, high)]
+    return [
+        {"low": -far if a is None else a, "high": far if b is None else b}
+        for a, b in choices
+        if not (a is None and b is None)
+    ]
 
 
 EFFECT = Effect(
@@ -19,6 +58,8 @@ EFFECT = Effect(
     formula="measurement = clip(r, low, high)",
     source="Sollmann et al., section V",
     measurement=measurement,
+    range_ends=("low", "high"),
+    starting_values=starting_values,
     signal_order=1,  # after scale and skew
     parameters=(
         EffectParameter("low", "position", -1e6, 1e6, scale=0.01),

@@ -169,6 +169,10 @@ class Effect:
         coordinate: Name of the coordinate that `structure` adds, on which `force` acts; empty if none.
         requires: Name of the effect that must be in the model at the same site before a search adds this one; or empty.
         impacts: Whether parts collide, so that small changes of a parameter change the motion irregularly.
+        range_ends: Names of the parameters that are the lowest and the highest measurement of a sensor, if the effect
+            limits its range (`Machine.measuring_ranges`).
+        starting_values: For an effect of a sensor, function (measurements, shape (m,), and their noise, in the sensor's
+            unit) -> sets of starting values of a search, by parameter name. Default: those of the parameters' `grid`.
         signal_order: Place on the way of a signal. Where several effects change the same voltage, current or
             measurement, those with smaller numbers act first, in whichever order they are listed in the machine.
     """
@@ -207,6 +211,8 @@ class Effect:
     coordinate: str = ""
     impacts: bool = False
     requires: str = ""
+    range_ends: tuple[str, str] | None = None
+    starting_values: Callable[..., Sequence[Mapping[str, float]]] | None = None
     signal_order: int = 0
 
     def parameter(self, name: str) -> EffectParameter:
@@ -297,6 +303,12 @@ class AppliedEffect:
     def label(self) -> str:
         """Name and component, e.g. "stribeck_friction@x"; full names of the effect's parameters begin with it."""
         return f"{self.definition.name}@{self.site}"
+
+    @property
+    def measuring_range(self) -> tuple[Any, Any] | None:
+        """Lowest and highest measurement of the sensor, in its unit, if the effect limits them."""
+        ends = self.definition.range_ends
+        return ends and (self.parameters[ends[0]], self.parameters[ends[1]])
 
     def components(self, machine: Components) -> tuple[str, ...]:
         """Return the components of a machine on which the effect acts.

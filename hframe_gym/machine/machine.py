@@ -7,6 +7,7 @@ pulley). The potential energy is 1/2 sum k s^2, k = EA / length (eq. 38-44 of So
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -80,6 +81,16 @@ class Machine:
     def output_channels(self) -> tuple[str, ...]:
         """Names of the measured channels, in the order of the sensors."""
         return tuple(s.channel for s in self.sensors)
+
+    @cached_property
+    def measuring_ranges(self) -> dict[str, tuple[float, float]]:
+        """Lowest and highest measurement of the sensors with a limited range, in their units, by channel."""
+        ranges: dict[str, tuple[float, float]] = {}
+        for effect in self.effects:
+            if limits := effect.measuring_range:
+                low, high = ranges.get(effect.site, (-math.inf, math.inf))
+                ranges[effect.site] = max(low, limits[0]), min(high, limits[1])
+        return ranges
 
     @cached_property
     def drive_laws(self) -> tuple[DriveLaw, ...]:

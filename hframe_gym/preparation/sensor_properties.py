@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.signal import savgol_coeffs, savgol_filter
 
 from ..effects import EFFECTS
+from ..effects.sensor_range import UNLIMITED
 from ..machine import AppliedEffect, Machine
 from ..recordings import Recording, quantum_of
 from .criteria import SaturationCriteria
@@ -18,9 +19,6 @@ from .criteria import SaturationCriteria
 Array = NDArray[np.float64]
 Range = tuple[float, float]
 
-UNLIMITED = (
-    10.0  # An end of a range that was never reached is set to this multiple of the largest measurement.
-)
 _CURVE_ROWS = 21  # Measurements of a curve; in slow motion, they extend over several quanta.
 _ROUNDING_ACCURACY = 1.2  # Rounding alone is estimated up to 12 % too large.
 _MIN_RESTING_ROWS = 30  # Fewer resting rows of all runs together do not give a standard deviation.
@@ -368,8 +366,8 @@ def range_effects(
     effects = []
     for channel, (low, high) in ranges.items():
         for e in selected:
-            if e.label == f"sensor_range@{channel}":
-                low, high = max(low, e.parameters["low"]), min(high, e.parameters["high"])
+            if e.site == channel and (limits := e.measuring_range):
+                low, high = max(low, limits[0]), min(high, limits[1])
         effects.append(
             EFFECTS["sensor_range"].at(channel, low=low, high=max(low, high))
         )  # ranges may be disjoint

@@ -135,8 +135,7 @@ def without_saturated(
 ) -> tuple[list[Recording], dict[str, Range]]:
     """Remove measurements at the end of a sensor's range.
 
-    The machine's effects ``sensor_range`` define where a sensor saturates; other sensors are examined
-    (`saturation_ranges`).
+    The machine's measuring ranges define where a sensor saturates; other sensors are examined (`saturation_ranges`).
 
     Args:
         recordings: Runs of one rig (times, s; voltages, V; measurements, m or rad).
@@ -148,10 +147,5 @@ def without_saturated(
         Copies of the runs, measurements of shape (n, sensors), and the ranges found, m or rad, by channel.
     """
     found = saturation_ranges(recordings, machine, noise, criteria)
-    declared = {
-        e.site: (e.parameters["low"], e.parameters["high"])
-        for e in machine.effects
-        if e.name == "sensor_range"
-    }
-    ends = found | declared
+    ends = found | machine.measuring_ranges
     return [blank_saturated(r, ends, machine, noise, criteria) for r in recordings], found

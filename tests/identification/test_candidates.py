@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
-from hframe_gym.effects import EFFECTS
+from hframe_gym.effects import EFFECTS, register_effect, unregister_effect
 from hframe_gym.identification.fit.force_sizes import TypicalScales
 from hframe_gym.identification.judge.criteria import SelectionCriteria
 from hframe_gym.identification.propose.candidates import Candidate, candidates, effect_parameters
@@ -79,6 +81,49 @@ def test_a_force_has_at_least_one_period(hframe: Machine) -> None:
     span = np.ptp(data[:, 0])
     assert periodogram_peaks(data, 1e-3, friction=False).min() >= 2 * np.pi / span * 0.999
     assert periodogram_peaks(data, 1e-3, friction=True).min() < 2 * np.pi / span
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "expected"),
+    [
+        (-1.0, 1.0, []),
+        (-0.5, 1.0, [(True, False)]),
+        (-0.5, 0.6, [(True, False), (False, True), (True, True)]),
+    ],
+)
+def test_a_range_starts_from_ends_at_which_many_measurements_lie(
+    low: float, high: float, expected: list[tuple[bool, bool]]
+) -> None:
+    """An end that was not reached lies far outside the measurements."""
+    starts = EFFECTS["sensor_range"].starting_values
+    assert starts is not None
+    measured = np.clip(np.linspace(-1.0, 1.0, 5001), low, high)
+    found = [(values["low"], values["high"]) for values in starts(measured, 1e-5)]
+    assert [(abs(a) < 1.0, abs(b) < 1.0) for a, b in found] == expected
+    for a, b in found:
+        assert a in (pytest.approx(low), pytest.approx(-10.0 * abs(measured).max()))
+        assert b in (pytest.approx(high), pytest.approx(10.0 * abs(measured).max()))
+    assert starts(np.zeros(0), 1e-5) == []
+
+
+def test_an_effect_may_bring_starting_values_of_its_own() -> None:
+    """Here from the largest measurement; the noise is that of the sensor."""
+    data = axis_runs(AXIS, rows=1000, volts=6.0)
+    noises: list[float] = []
+
+    def from_largest(measured: np.ndarray, noise: float) -> list[dict[str, float]]:
+        noises.append(noise)
+        return [{"low": -1.0, "high": float(measured.max())}]
+
+    effect = dataclasses.replace(EFFECTS["sensor_range"], name="own_range", starting_values=from_largest)
+    register_effect(effect)
+    try:
+        proposed = candidates(AXIS, data, TypicalScales({"x": {}}, {}), {"x": motion(100.0, friction=False)})
+    finally:
+        unregister_effect("own_range")
+    [own] = [c for c in proposed if c.effect is effect]
+    assert own.columns[0] == {"low": -1.0, "high": data.measured_values(0).max()}
+    assert noises == [data.noise[0]]
 
 
 def test_a_table_that_the_machine_has_is_not_proposed_again() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -113,3 +115,13 @@ def test_without_a_simulator_the_error_names_what_to_import(
     monkeypatch.setattr("hframe_gym.machine.machine.SIMULATORS", Registry("simulator"))
     with pytest.raises(RuntimeError, match="import hframe_gym"):
         hframe.simulate(np.zeros(1), np.zeros((1, 2)))
+
+
+def test_the_range_of_a_sensor_is_that_of_all_effects_that_limit_it(hframe: Machine) -> None:
+    declared = EFFECTS["sensor_range"]
+    narrower = dataclasses.replace(declared, name="narrower_range")
+    limited = hframe.with_effects(
+        declared.at("x_m", low=-0.1, high=0.2), narrower.at("x_m", low=-0.2, high=0.1)
+    )
+    assert hframe.measuring_ranges == {}
+    assert limited.measuring_ranges == {"x_m": (-0.1, 0.1)}

@@ -19,16 +19,12 @@ from ...effects import EFFECTS, effect_sites
 from ...effects.smooth_table import TABLE_FAMILY
 from ...machine import AppliedEffect, Effect, EffectParameter, Machine
 from ...preparation.dataset import Dataset
-from ...preparation.sensor_properties import UNLIMITED
 from ..fit.force_sizes import SESSION, TypicalScales
 from ..predict.free_parameters import FreeParameter
 from .periodogram import MIN_FORCE_PERIODS, MIN_FRICTION_PERIODS, periodogram_peaks, slow_rates
 
 Array = NDArray[np.float64]
 _MAX_SHAPES = 64  # Sets of starting values per effect and site.
-_END_FRACTION = (
-    0.005  # Fraction of the measurements at one outermost value above which it may be the end of a range.
-)
 
 _LEAST_PERIOD_PRIOR = 0.1  # relative
 _ROUNDING = 0.01  # relative; predictions with different observers have slightly different travels
@@ -191,8 +187,9 @@ def _shapes(
     slow_friction: bool,
 ) -> list[Mapping[str, float]]:
     """Return the starting values of everything but amplitudes and phases."""
-    if effect.name == "sensor_range":
-        return _range_shapes(machine.output_channels.index(site), data)
+    if effect.starting_values is not None:
+        j = machine.output_channels.index(site)
+        return list(effect.starting_values(data.measured_values(j), float(data.noise[j])))
     grids: dict[str, list[float]] = {}
     for p in effect.parameters:
         if p.role in ("shape", "switch"):
@@ -209,28 +206,6 @@ def _shapes(
         grids[name] = [v for v in values if (1.0 - _ROUNDING) * low <= v <= (1.0 + _ROUNDING) * high]
     shapes = [dict(zip(grids, values, strict=True)) for values in itertools.product(*grids.values())]
     return list(shapes[:_MAX_SHAPES])
-
-
-def _range_shapes(j: int, data: Dataset) -> list[Mapping[str, float]]:
-    """Return the ends at which sensor j may saturate: its outermost measurements, where many lie together."""
-    values = data.measured_values(j)
-    if len(values) == 0:
-        return []
-    ends = []
-    for sign in (-1.0, 1.0):
-        outward = sign * values
-        top = float(np.percentile(outward, 99.9))
-        outermost = outward > top - 4 * max(float(data.noise[j]), 1e-12)
-        saturated = float(np.mean(outermost)) > _END_FRACTION
-        ends.append(sign * float(np.median(outward[outermost])) if saturated else None)
-    far = UNLIMITED * max(float(np.abs(values).max()), 1e-6)
-    low, high = ends
-    choices = [(low, None), (None, high), (low, high)]
-    return [
-        {"low": -far if a is None else a, "high": far if b is None else b}
-        for a, b in choices
-        if not (a is None and b is None)
-    ]
 
 
 def covered_by_runs(parameter: EffectParameter) -> bool:
