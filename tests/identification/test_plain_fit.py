@@ -20,7 +20,7 @@ from hframe_gym.identification.fit.plain_fit import (
     plain_fit,
 )
 from hframe_gym.identification.validate.plain_comparison import describe_remainder
-from hframe_gym.machine import BUILTIN_MACHINES, Machine
+from hframe_gym.machine import BUILTIN_MACHINES, Machine, Sensor
 from hframe_gym.recordings import Recording
 
 NOISE = 1e-5  # m
@@ -66,6 +66,17 @@ def test_inertia_and_friction_follow_from_the_motion_whatever_is_declared(factor
     assert damping(plain.machine) == pytest.approx(damping(true), rel=0.02)
     start = better_start(declared, data, plain)
     assert (start is declared) == (factor == 1.0)
+
+
+def test_a_speed_sensor_alone_shows_inertia_and_friction() -> None:
+    true = axis(TRUE)
+    speed = Sensor("x_m_s", {"x": 1.0}, kind="speed", noise=1e-3)
+    true = true.replace(sensors=(speed,))
+    declared = true.replace({name: 4.0 * value for name, value in TRUE.items()})
+    plain = plain_fit(declared, prepare(measure(true, runs=2), declared))
+    assert plain is not None
+    assert plain.machine.parameters["x.mass"] == pytest.approx(true.parameters["x.mass"], rel=0.02)
+    assert damping(plain.machine) == pytest.approx(damping(true), rel=0.03)
 
 
 def test_a_constant_force_is_a_term_of_the_plain_fit() -> None:

@@ -23,13 +23,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.integrate import cumulative_trapezoid
 from scipy.optimize import nnls
 
 from ...effects import EFFECTS
 from ...machine import AppliedEffect, Machine
-from ...preparation.dataset import MIN_ROWS, Dataset
+from ...preparation.dataset import MIN_ROWS, Dataset, PreparedRecording
 from ...preparation.motion_windows import MotionWindows, force_equations, leading_motions, motion_windows
-from ...recordings import comparison_window
+from ...recordings import bridge_blanks, comparison_window
 from ..judge.error import is_better_start
 from ..predict.free_parameters import FreeParameter, default_free_parameters, typical_force
 from ..predict.prediction import SEARCH_BANDWIDTH, SIMULATION
@@ -212,7 +213,7 @@ def wide_parameters(machine: Machine) -> tuple[FreeParameter, ...]:
 def _terms(machine: Machine, offsets: Sequence[AppliedEffect]) -> Iterable[AppliedEffect]:
     """Yield what a plain fit may need beside inertia and friction: offsets, weights, and a delay of the inputs."""
     yield from offsets
-    for c in machine.coordinates:
+    for c in machine.coordinates if machine.position_sensors.any() else ():
         if c.kind == "rotary":
             yield EFFECTS["unbalance"].at(c.name, A=0.0, p=0.0)
     yield EFFECTS["input_delay"].at("drives", d=0.0)
@@ -244,10 +245,11 @@ def starting_values(machine: Machine, data: Dataset) -> list[tuple[Machine, tupl
         if the runs determine no motion.
     """
     R = leading_motions(machine)
+    measured, runs = _with_positions(machine, data.runs)
     found: list[tuple[Machine, tuple[AppliedEffect, ...]]] = []
     for span in _SPANS if len(R) else ():
-        windows = [motion_windows(r, comparison_window(r.outputs, r.time_s, span)) for r in data.runs]
-        coefficients = _balance(machine, R, windows, span)
+        windows = [motion_windows(r, comparison_window(r.outputs, r.time_s, span)) for r in runs]
+        coefficients = _balance(measured, R, windows, span)
         if coefficients:
             names = {k: machine.coordinate_names[int(np.argmax(np.abs(R[k]) > 0.0))] for k in coefficients}
             offsets = {names[k]: -offset for k, (*_, offset) in coefficients.items()}
@@ -257,6 +259,24 @@ def starting_values(machine: Machine, data: Dataset) -> list[tuple[Machine, tupl
             added = tuple(e for e in forces if e.label not in present)
             found.append((_with_coefficients(machine, R, known), added))
     return found
+
+
+def _with_positions(
+    machine: Machine, runs: Sequence[PreparedRecording]
+) -> tuple[Machine, list[PreparedRecording]]:
+    """Return a machine and its runs with integrated speeds as positions, if no sensor of it measures positions."""
+    speeds = np.array([s.of_velocity for s in machine.sensors], np.bool_)
+    if machine.position_sensors.any() or not speeds.any():
+        return machine, list(runs)
+    sensors = tuple(dataclasses.replace(s, kind="encoder") if s.of_velocity else s for s in machine.sensors)
+
+    def integrated(run: PreparedRecording) -> PreparedRecording:
+        """Integrate by trapezoids, across rows in which the sensor did not measure."""
+        values = np.nan_to_num(bridge_blanks(run.outputs, run.time_s, math.inf))
+        positions = cumulative_trapezoid(values, run.time_s, axis=0, initial=0.0)
+        return dataclasses.replace(run, outputs=np.where(speeds, positions, run.outputs))
+
+    return machine.replace(sensors=sensors), [integrated(run) for run in runs]
 
 
 def _balance(
