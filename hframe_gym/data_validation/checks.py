@@ -27,6 +27,7 @@ from .input_noise import noisy_inputs
 from .sampling import (
     check_input_timing,
     check_sampling,
+    check_voltages_between_rows,
     overlapping_clocks,
     sampling_rate,
     slow_sensors,
@@ -143,7 +144,10 @@ def _faults_and_advice(
     )
     if any(finding.severity == "fault" for finding in findings):
         return findings  # a fit would be meaningless
-    return findings + check_input_timing(data.with_runs(moving), machine)
+    moving_data = data.with_runs(moving)
+    return findings + (
+        check_input_timing(moving_data, machine) or check_voltages_between_rows(moving_data, machine)
+    )
 
 
 def _position_checks(recordings: Sequence[Recording], data: Dataset, machine: Machine) -> list[Finding]:

@@ -17,7 +17,15 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy import special
 
-from ..identification import MIN_ROWS, Dataset, PreparedRecording, default_free_parameters, fit
+from ..identification import (
+    MIN_ROWS,
+    Dataset,
+    PreparedRecording,
+    SelectionCriteria,
+    default_free_parameters,
+    fit,
+)
+from ..identification.fit.voltage_updates import voltage_updates
 from ..identification.predict.prediction import SEARCH_BANDWIDTH
 from ..machine import Machine
 from ..preparation.belt_stretch import rigid_basis
@@ -221,11 +229,10 @@ def check_input_timing(data: Dataset, machine: Machine) -> list[Finding]:
         runs have more than 20,000 rows, or if the declared machine has a delay or an effect with a state (lag,
         hysteresis, loop of a drive), because too large a declared delay would make the response seem early as well.
     """
-    largest = sorted((run for run in data.runs if len(run.time_s) <= _MAX_ROWS), key=_input_changes)[-_RUNS:]
+    runs = _with_largest_changes(data)
     acting = (*machine.drive_laws, *machine.effects)
-    if not largest or any(e.definition.delay or e.definition.next_state for e in acting):
+    if not runs.runs or any(e.definition.delay or e.definition.next_state for e in acting):
         return []
-    runs = data.with_runs([run.name for run in largest])
     earlier = dataclasses.replace(runs, runs=tuple(map(_with_earlier_inputs, runs.runs)))
     free = default_free_parameters(machine)
     logged = fit(machine, free, runs, SEARCH_BANDWIDTH, iterations=_ITERATIONS)
@@ -252,6 +259,38 @@ def check_input_timing(data: Dataset, machine: Machine) -> list[Finding]:
         f"writes the voltage that has acted until the time of its row, {remedy}"
     )
     return [Finding("advice", "", "", message)]
+
+
+def check_voltages_between_rows(data: Dataset, machine: Machine) -> list[Finding]:
+    """Report voltages that change between the rows, because the controller is faster than the log.
+
+    Args:
+        data: Runs in which the machine moves (times, s; voltages, V; measurements, m or rad), without other faults.
+        machine: Declared machine.
+
+    Returns:
+        One finding of severity "advice" about all runs together, or none; see `voltage_updates`. None as well if all
+        runs have more than 20,000 rows.
+    """
+    runs = _with_largest_changes(data)
+    if not runs.runs:
+        return []
+    held = fit(machine, default_free_parameters(machine), runs, SEARCH_BANDWIDTH, iterations=_ITERATIONS)
+    updates = voltage_updates(held, runs, SelectionCriteria())
+    if updates.per_row == 1:
+        return []
+    message = (
+        f"{updates.describe(data.period)}: identification interpolates them, but what the controller did between the "
+        "rows beyond that adds up to an error of every simulation. Log at the rate of the controller, or log the mean "
+        "voltage between rows"
+    )
+    return [Finding("advice", "", "", message)]
+
+
+def _with_largest_changes(data: Dataset) -> Dataset:
+    """Return the three runs of up to 20,000 rows whose voltages change most from row to row."""
+    short = (run for run in data.runs if len(run.time_s) <= _MAX_ROWS)
+    return data.with_runs([run.name for run in sorted(short, key=_input_changes)[-_RUNS:]])
 
 
 class _Feedthrough(NamedTuple):

@@ -53,6 +53,8 @@ class PreparedRecording:
         dropped: True for rows that the logger dropped; their voltages are interpolated or estimated, shape (n,).
         observer_bandwidth: Bandwidth of the observer that corrects predictions of this run by the measurements, rad/s;
             None: that of the prediction or fit.
+        updates: How many times the voltages change from one row to the next: more than once if the controller is faster
+            than the log. They are then interpolated between the rows (`voltage_updates`).
     """
 
     name: str
@@ -64,6 +66,7 @@ class PreparedRecording:
     weights: Array
     dropped: NDArray[np.bool_]
     observer_bandwidth: float | None = None
+    updates: int = 1
 
     def bandwidth(self, of_prediction: float) -> float:
         """Return the bandwidth of the observer that corrects a prediction of this run by the measurements.
@@ -153,6 +156,19 @@ class Dataset:
             Copy with these runs (measurements of shape (n, sensors) each), in the order of this data set.
         """
         return dataclasses.replace(self, runs=tuple(run for run in self.runs if run.name in names))
+
+    def with_updates(self, updates: int) -> Dataset:
+        """Return a copy in which the voltages of all runs change several times from one row to the next.
+
+        Args:
+            updates: Number of changes, see `PreparedRecording`.
+
+        Returns:
+            Copy; the voltages in the rows, V, shape (n, drives), are the same.
+        """
+        return dataclasses.replace(
+            self, runs=tuple(dataclasses.replace(run, updates=updates) for run in self.runs)
+        )
 
     def with_observers(self, observers: Mapping[str, RunObserver]) -> Dataset:
         """Return a copy in which some runs are predicted with another observer.

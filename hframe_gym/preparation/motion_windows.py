@@ -56,7 +56,9 @@ def motion_windows(run: PreparedRecording, span: float) -> MotionWindows:
         return MotionWindows(empty, empty, empty, np.zeros((0, run.inputs.shape[1])))
     bridged = bridge_blanks(run.outputs, time_s, 1.01 * span)
     steps = np.diff(time_s)[:, None]
-    first = _cumulated(run.inputs[:-1] * steps)  # integral of the inputs, which are held from row to row
+    # Integral of the inputs, which are held from row to row, or change several times on a line to the next row.
+    changes = 0.5 * (1.0 - 1.0 / run.updates) * np.diff(run.inputs, axis=0)
+    first = _cumulated((run.inputs[:-1] + changes) * steps)
     second = _cumulated((first[:-1] + first[1:]) / 2 * steps)
 
     def mean(values: Array) -> Array:

@@ -25,6 +25,7 @@ from ...dynamics.simulation import Motion, threads
 from ...machine import Machine
 from ...preparation.dataset import Dataset, PreparedRecording
 from ...preparation.rest_measurement import max_fitted_zero_means, max_zero_means, sensor_zero_error
+from ...preparation.voltage_updates import at_updates, update_times, updated_inputs
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
@@ -157,6 +158,8 @@ def predict(
 ) -> Motion:
     """Predict the measurements of a run, for several sets of parameters, perturbations or initial states at once.
 
+    Voltages are held from row to row, or interpolated if the run has more than one update a row.
+
     Args:
         machine: Machine that predicts; its effects (deviations from the model) also determine the initial state.
         run: Run to predict, n samples.
@@ -185,10 +188,15 @@ def predict(
         measured = measurements_from(starts[0], machine, run)
         measured = measured if extra_measurement is None else measured - extra_measurement
         gains = observer_gains(machine, period, bandwidth)
+    time_s, inputs = run.time_s, run.inputs if inputs is None else inputs
+    if run.updates > 1:
+        time_s, inputs = update_times(time_s, run.updates), updated_inputs(time_s, inputs, run.updates)
+        extra_force = None if extra_force is None else at_updates(extra_force, run.updates)
+        measured = None if measured is None else at_updates(measured, run.updates, between=np.nan)
     motion = simulate_batch(
         machine,
-        run.time_s,
-        run.inputs if inputs is None else inputs,
+        time_s,
+        inputs,
         parameters=parameters,
         start=starts,
         extra_force=extra_force,
@@ -198,6 +206,8 @@ def predict(
         states=states,
         parallel=False,
     )
+    if run.updates > 1:
+        motion = Motion(*(values[:, :: run.updates] for values in motion))
     return (
         motion if extra_measurement is None else motion._replace(readings=motion.readings + extra_measurement)
     )

@@ -15,13 +15,17 @@ from ...preparation.dataset import Dataset, with_known_positions
 from ..budget import Budget
 from ..evidence.held_out import contradicting_held_out_runs, held_out_gain, is_excited, worsens_simulation
 from ..evidence.tried_effects import ConsideredEffect, Log
+from ..fit.estimation import fit
 from ..fit.lost_voltages import with_lost_voltages
 from ..fit.plain_fit import PlainFit, better_start, plain_fit
 from ..fit.start_estimation import refine_dataset
+from ..fit.voltage_updates import VoltagesChangeError, voltage_updates
 from ..judge.criteria import SelectionCriteria
 from ..judge.held_out import HeldOutEffect, refuted_effects
 from ..judge.run import exchanges_held_out
 from ..judge.verdict import verdict_after_removal
+from ..predict.free_parameters import default_free_parameters
+from ..predict.prediction import SEARCH_BANDWIDTH
 from ..propose.trial_fits import without_effect
 from .input_timing import with_input_timing
 from .search_effects import SearchOutcome, search_effects
@@ -41,6 +45,12 @@ _HINT = (
 )
 
 
+_BETWEEN_ROWS = (
+    "In this log, {}. They are interpolated; what the controller did between the rows beyond that adds up to an error "
+    "of every simulation. Log at the rate of the controller, or log the mean voltage between rows."
+)
+
+
 class CheckedOutcome(NamedTuple):
     """Outcome of a search in the fitted runs, and what the held-out runs say about it.
 
@@ -56,7 +66,7 @@ class CheckedOutcome(NamedTuple):
     outcome: SearchOutcome
     held_out: Dataset
     differing: tuple[str, ...]
-    messages: tuple[str, ...]
+    messages: tuple[str, ...] = ()
     plain: PlainFit | None = None
     hint: str = ""
 
@@ -136,6 +146,32 @@ def _search_and_check(
     names = ", ".join(run.name for run in held_out.runs)
     log(f"fitting {machine.name} to {len(data.runs)} runs, {len(held_out.runs)} held out ({names})")
     data, held_out = with_lost_voltages(machine, data, held_out, log)
+    refitted = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
+    updates, known = voltage_updates(refitted, data, criteria), machine
+    search = partial(_search, machine, criteria=criteria, log=log, budget=budget)
+    if updates.per_row == 1:
+        try:
+            return search(data, held_out)._replace(messages=(*unused, *excluded))
+        except VoltagesChangeError as found:
+            updates, known = found.updates, found.machine
+    changes = updates.describe(data.period)
+    log(f"{changes}; they are interpolated")
+    data, held_out = with_lost_voltages(
+        known, data.with_updates(updates.per_row), held_out.with_updates(updates.per_row), log
+    )
+    return search(data, held_out)._replace(messages=(*unused, *excluded, _BETWEEN_ROWS.format(changes)))
+
+
+def _search(
+    machine: Machine,
+    data: Dataset,
+    held_out: Dataset,
+    *,
+    criteria: SelectionCriteria,
+    log: Log,
+    budget: Budget,
+) -> CheckedOutcome:
+    """Search for effects in the fitted runs, and compare the outcome with the held-out ones."""
     plain = plain_fit(machine, data)
     machine = _start(machine, data, plain, log)
 
@@ -147,7 +183,7 @@ def _search_and_check(
 
     outcome = search_effects(machine, data, criteria, log, confirmed=confirmed, budget=budget)
     differing = _contradicting_runs(outcome, held_out)
-    return CheckedOutcome(outcome, held_out, differing, (*unused, *excluded), plain)
+    return CheckedOutcome(outcome, held_out, differing, plain=plain)
 
 
 def _start(machine: Machine, data: Dataset, plain: PlainFit | None, log: Log) -> Machine:

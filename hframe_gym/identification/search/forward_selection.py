@@ -28,6 +28,7 @@ from ..evidence.tried_effects import ConsideredEffect, Log, SelectedEffect, Sele
 from ..fit.estimation import Fit, describe_gain
 from ..fit.model_error import continue_fit, fit_with_model_error, likelihood_deficit, narrower_observer
 from ..fit.start_estimation import with_probable_starts
+from ..fit.voltage_updates import require_held_voltages
 from ..judge import trial as judge
 from ..judge.criteria import SelectionCriteria
 from ..judge.error import is_enough, nearly_explains, only_noise_is_left, required_gain
@@ -97,6 +98,10 @@ class EffectSearch:
 
         Returns:
             Fit of the machine with all effects, and all selected effects with their fitted parameters.
+
+        Raises:
+            VoltagesChangeError: If the voltages of the runs are held, and the machine with a selected effect shows that
+                they change between the rows.
         """
         criteria = self._criteria
         current, self.data = with_probable_starts(current, self.data, criteria)
@@ -109,6 +114,7 @@ class EffectSearch:
             if extended is None:
                 break
             best, selected = extended
+            require_held_voltages(best, self.data, criteria)
             current, selected = self._exchange(fit_with_model_error(best, self.data), selected)
             if judge.is_worth_comparing_rivals(current.error, criteria):
                 likely, others = self.settle_rivals(current, selected)

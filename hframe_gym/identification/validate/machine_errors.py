@@ -168,7 +168,7 @@ def evaluate_held_out(
         """Return the errors at the rows of a run (n, sensors), warnings about its start, and whether it diverges."""
         recording = measured[run.name]
         try:
-            simulation = simulate_recording(machine, recording, criteria)
+            simulation = simulate_recording(machine, recording, criteria, updates=run.updates)
         except NotFiniteError:
             return np.full(run.outputs.shape, np.nan), run.initial.warnings, True
         error = np.full(run.outputs.shape, np.nan)  # rows that the preparation inserted in gaps stay NaN

@@ -26,6 +26,7 @@ from ...preparation.rest_measurement import (
 )
 from ...preparation.session import prepare
 from ...preparation.usable import rest_and_noise, usable_run, without_saturated, without_unknown_voltage
+from ...preparation.voltage_updates import update_times, updated_inputs
 from ...recordings import Recording, fill_gaps
 from ..fit.lost_voltages import estimate_lost_voltages
 from ..fit.start_estimation import most_probable_start
@@ -57,7 +58,7 @@ class SimulatedRecording(NamedTuple):
 
 
 def simulate_recording(
-    machine: Machine, recording: Recording, criteria: SelectionCriteria | None = None
+    machine: Machine, recording: Recording, criteria: SelectionCriteria | None = None, *, updates: int = 1
 ) -> SimulatedRecording:
     """Simulate a machine over a recording and compare it with the measurements.
 
@@ -73,6 +74,8 @@ def simulate_recording(
         machine: Machine, declared or identified.
         recording: The run (times, voltages, measurements); outputs may be missing.
         criteria: Thresholds by which a sensor at the end of its range is recognized. Default: `SelectionCriteria()`.
+        updates: How many times the controller changes the voltages from one row to the next; more than once, they are
+            interpolated between the rows.
 
     Returns:
         Trajectory at the n times of the recording, errors (measured minus simulated), m or rad, shape (n, sensors), NaN
@@ -82,23 +85,23 @@ def simulate_recording(
         NotFiniteError: If the motion diverges.
     """
     criteria = criteria or SelectionCriteria()
-    cleaned = _cleaned(recording, machine, criteria)
-    initial = _initial_state(machine, cleaned, criteria)
+    cleaned = _cleaned(recording, machine, criteria, updates)
+    initial = _initial_state(machine, cleaned, criteria, updates)
     motion = simulate(
         machine,
-        cleaned.time_s,
-        cleaned.inputs,
+        *_updated(cleaned, updates),
         initial.start(machine),
         offset=initial.zeros,
         longest_step=POLISH_STEP,
     )
     recorded = np.isin(cleaned.time_s, recording.time_s)  # the rows that `fill_gaps` did not insert
+    rows = np.flatnonzero(recorded) * updates
     trajectory = dataclasses.replace(
         motion,
-        time_s=motion.time_s[recorded],
-        positions=motion.positions[recorded],
-        velocities=motion.velocities[recorded],
-        outputs=motion.outputs[recorded],
+        time_s=motion.time_s[rows],
+        positions=motion.positions[rows],
+        velocities=motion.velocities[rows],
+        outputs=motion.outputs[rows],
     )
     return SimulatedRecording(trajectory, cleaned.outputs[recorded] - trajectory.outputs, initial)
 
@@ -131,7 +134,9 @@ def initial_state_of_recording(
     return _initial_state(machine, _cleaned(recording, machine, criteria), criteria)
 
 
-def _cleaned(recording: Recording, machine: Machine, criteria: SelectionCriteria) -> Recording:
+def _cleaned(
+    recording: Recording, machine: Machine, criteria: SelectionCriteria, updates: int = 1
+) -> Recording:
     """Return a recording without outliers, gaps, and measurements before the machine came to rest.
 
     The measurements also determine the voltages in the gaps, except saturated measurements.
@@ -142,11 +147,22 @@ def _cleaned(recording: Recording, machine: Machine, criteria: SelectionCriteria
         return filled
     _, _, noise = rest_and_noise(filled, machine)
     data = prepare(without_saturated([usable], machine, noise, criteria)[0], machine)
-    (run,) = estimate_lost_voltages(data, machine).runs
+    (run,) = estimate_lost_voltages(data.with_updates(updates), machine).runs
     return dataclasses.replace(filled, inputs=run.inputs)
 
 
-def _initial_state(machine: Machine, recording: Recording, criteria: SelectionCriteria) -> InitialState:
+def _updated(recording: Recording, updates: int) -> tuple[Array, Array]:
+    """Return the times at which the controller changes the voltages, s, and the voltages from then on, V."""
+    if updates == 1:
+        return recording.time_s, recording.inputs
+    return update_times(recording.time_s, updates), updated_inputs(
+        recording.time_s, recording.inputs, updates
+    )
+
+
+def _initial_state(
+    machine: Machine, recording: Recording, criteria: SelectionCriteria, updates: int = 1
+) -> InitialState:
     """Return the initial state of a recording without gaps and outliers."""
     rows, quanta, noise = rest_and_noise(recording, machine)
     ((usable,), _) = without_saturated([recording], machine, noise, criteria)
@@ -157,12 +173,13 @@ def _initial_state(machine: Machine, recording: Recording, criteria: SelectionCr
     max_means = max_zero_means(free_zeros(machine), quanta)
     measured = np.isfinite(usable.outputs)
     zeroed = has_zero(machine)
+    updated = _updated(recording, updates)
 
     def errors(states: Array, outputs: Array) -> Array:
         """Return measured minus simulated values in the first k rows, 0 if not measured, shape (B, k, sensors)."""
-        time_s, inputs = recording.time_s[: len(outputs)], recording.inputs[: len(outputs)]
+        time_s, inputs = (values[: (len(outputs) - 1) * updates + 1] for values in updated)
         motion = simulate_batch(machine, time_s, inputs, start=states, states=False, longest_step=POLISH_STEP)
-        return np.where(np.isfinite(outputs), outputs - motion.readings, 0.0)
+        return np.where(np.isfinite(outputs), outputs - motion.readings[:, ::updates], 0.0)
 
     def weighted_errors(states: Array, count: int) -> Array:
         """Return errors without those of the zeros, in units of the noise, shape (B, count * sensors)."""

@@ -1,0 +1,110 @@
+"""Find out whether the voltages change between the rows of a log, from the motion.
+
+A controller that is faster than the log changes the voltages several times from one row to the next. The log does not
+say so, but the motion does: voltages that are held from row to row act late, by up to half a sampling period. A machine
+is therefore fitted with held voltages, then with voltages that are interpolated and change twice a row, three times and
+so on, while the error falls.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ...machine import Machine
+from ...preparation.dataset import Dataset
+from ..judge.criteria import SelectionCriteria
+from ..judge.run import UpdatesEvidence, voltages_change_between_rows
+from ..predict.prediction import SEARCH_BANDWIDTH
+from .estimation import Fit, prediction_costs
+from .model_error import continue_fit
+
+_MOST_UPDATES = 8  # a row; with more, voltages act earlier by less than a sixteenth of a sampling period
+
+
+class VoltageUpdates(NamedTuple):
+    """How often the voltages change from one row to the next.
+
+    Attributes:
+        per_row: Number of changes; 1 if the voltages are held.
+        held: Chi-squared per sample of the machine that is fitted with held voltages, dimensionless.
+        fitted: Chi-squared per sample of the machine that is fitted with that many changes, dimensionless.
+    """
+
+    per_row: int
+    held: float
+    fitted: float
+
+    def describe(self, period: float) -> str:
+        """Describe voltages that change between rows, for the user: a sentence without a point.
+
+        Args:
+            period: Sampling period of the log, s.
+        """
+        return (
+            f"the voltages change between the rows, about {self.per_row} times from one row to the next (every "
+            f"{1e3 * period / self.per_row:.2g} ms; chi-squared per sample {self.fitted:.3g} instead of "
+            f"{self.held:.3g} with held voltages)"
+        )
+
+
+class VoltagesChangeError(Exception):
+    """A search found that the voltages change between the rows; its runs held them.
+
+    Attributes:
+        machine: Machine with the effects that were found before.
+        updates: How often the voltages change.
+    """
+
+    def __init__(self, machine: Machine, updates: VoltageUpdates) -> None:
+        super().__init__("the voltages change between the rows")
+        self.machine, self.updates = machine, updates
+
+
+def require_held_voltages(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> None:
+    """Check that the voltages are held, if the runs are predicted so; an effect that was missing had a larger error.
+
+    Args:
+        fitted: Fit of a machine with effects to the runs.
+        data: Runs (times, voltages, measurements, SI).
+        criteria: Decision thresholds.
+
+    Raises:
+        VoltagesChangeError: If the voltages change between the rows.
+    """
+    if any(run.updates > 1 for run in data.runs):
+        return
+    updates = voltage_updates(fitted, data, criteria)
+    if updates.per_row > 1:
+        raise VoltagesChangeError(fitted.machine, updates)
+
+
+def voltage_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> VoltageUpdates:
+    """Find how often the voltages change from one row to the next.
+
+    Args:
+        fitted: Fit of a machine to the runs as they are.
+        data: Runs (times, voltages, measurements, SI).
+        criteria: Decision thresholds.
+
+    Returns:
+        The number of changes, and what it leaves of the error beside what held voltages leave.
+    """
+    data = data.with_updates(1)
+    held = best = continue_fit(fitted, data, SEARCH_BANDWIDTH)
+    count = 1
+    for trial in range(2, _MOST_UPDATES + 1):
+        refitted = continue_fit(best, data.with_updates(trial), SEARCH_BANDWIDTH)
+        if not refitted.cost < best.cost:
+            break
+        best, count = refitted, trial
+    if count > 1:
+        before, after = (
+            prediction_costs(f.machine, d, SEARCH_BANDWIDTH)
+            for f, d in ((held, data), (best, data.with_updates(count)))
+        )
+        evidence = UpdatesEvidence(held.error, best.error, float(np.mean(after < before)))
+        if voltages_change_between_rows(evidence, criteria):
+            return VoltageUpdates(count, held.chi2, best.chi2)
+    return VoltageUpdates(1, held.chi2, held.chi2)

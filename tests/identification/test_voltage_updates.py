@@ -1,0 +1,152 @@
+"""Tests of logs that are slower than the controller: its voltages change between their rows."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from hframe_gym.data_validation.sampling import check_voltages_between_rows
+from hframe_gym.dynamics import rollout
+from hframe_gym.identification import Dataset, Fit, SelectionCriteria, default_free_parameters, fit, prepare
+from hframe_gym.identification.fit.voltage_updates import VoltageUpdates, voltage_updates
+from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH, SIMULATION, predict
+from hframe_gym.identification.validate.recording_simulation import simulate_recording
+from hframe_gym.machine import BUILTIN_MACHINES, Machine
+from hframe_gym.preparation.voltage_updates import at_updates, update_times, updated_inputs
+from hframe_gym.recordings import Recording
+
+pytestmark = pytest.mark.unit
+Array = NDArray[np.float64]
+AXIS = BUILTIN_MACHINES["axis"]()
+RIG = AXIS.replace({"x.mass": 1.1 * AXIS.coordinates[0].mass, "x.coulomb": 0.8 * AXIS.coordinates[0].coulomb})
+NOISE = 5e-6  # m
+PERIOD = 1e-3  # s, of the controller
+SECONDS = 1.5
+
+
+@cache
+def controlled(seed: int, machine: Machine = RIG) -> Recording:
+    """Return a run at the rate of a controller that moves the axis from place to place and reads a noisy sensor."""
+    rng = np.random.default_rng(seed)
+    rows = round(SECONDS / PERIOD)
+    noise = rng.normal(0.0, NOISE, rows)
+    places = np.repeat(rng.uniform(-0.05, 0.05, 1 + rows // 250), 250)[:rows]
+    places[:100] = 0.0
+    goal = np.convolve(places, np.hanning(120) / np.hanning(120).sum(), "full")[:rows]
+    speed = np.gradient(goal, PERIOD)
+    state, last = np.zeros(2), 0.0
+    inputs, outputs = np.zeros((rows, 1)), np.zeros((rows, 1))
+    for row in range(rows):
+        measured = state[0] + noise[row]
+        outputs[row] = measured
+        if row >= 100:
+            volts = 300.0 * (goal[row] - measured) + 5.0 * (speed[row] - (measured - last) / PERIOD)
+            inputs[row] = np.clip(volts, -12.0, 12.0)
+        last = measured
+        interval = np.array([0.0, PERIOD]), np.repeat(inputs[row : row + 1], 2, axis=0)
+        state = rollout(machine, *interval, start=state, velocities=True, parallel=False)[0, -1]
+    return Recording(f"run_{seed}", np.arange(rows) * PERIOD, inputs, outputs)
+
+
+def every(run: Recording, rows: int) -> Recording:
+    """Return a log with every such row of a run."""
+    return Recording(run.name, run.time_s[::rows], run.inputs[::rows], run.outputs[::rows])
+
+
+@cache
+def slow_log(rows: int) -> Dataset:
+    """Return prepared logs with every such row of three runs."""
+    return prepare([every(controlled(seed), rows) for seed in range(3)], AXIS)
+
+
+def refitted(data: Dataset) -> Fit:
+    """Return the axis fitted to a log as it is."""
+    return fit(AXIS, default_free_parameters(AXIS), data, SEARCH_BANDWIDTH)
+
+
+def found(data: Dataset) -> VoltageUpdates:
+    """Return how often the voltages change between the rows of a log."""
+    return voltage_updates(refitted(data), data, SelectionCriteria())
+
+
+def test_held_voltages_stay_held() -> None:
+    assert found(slow_log(1)).per_row == 1
+
+
+def test_the_motion_shows_how_often_the_voltages_change() -> None:
+    updates = found(slow_log(4))
+    assert updates.per_row in (3, 4, 5)
+    assert updates.fitted < 0.5 * updates.held
+    assert "change between the rows, about" in updates.describe(4e-3)
+
+
+def test_interpolated_voltages_give_the_true_mass() -> None:
+    """Held voltages act 1.5 ms late."""
+    data = slow_log(4)
+    mass = RIG.coordinates[0].mass
+    held, updated = (refitted(d).machine.coordinates[0].mass for d in (data, data.with_updates(4)))
+    assert abs(updated / mass - 1.0) < 0.005
+    assert abs(held / mass - 1.0) > 5.0 * abs(updated / mass - 1.0)
+
+
+def test_a_missing_force_is_no_sign_of_changes_between_rows() -> None:
+    """A constant force leaves a large error, however the voltages change."""
+    data = slow_log(1)
+    pushed = dataclasses.replace(
+        data,
+        runs=tuple(
+            dataclasses.replace(run, inputs=run.inputs + 0.3 * (run.time_s > 0.1)[:, None])
+            for run in data.runs
+        ),
+    )
+    assert refitted(pushed).chi2 > 2.0
+    assert found(pushed).per_row == 1
+
+
+def test_a_prediction_with_changes_between_rows_is_that_of_a_log_at_the_rate_of_the_controller() -> None:
+    """Held for 1 ms, interpolated voltages act in each row like the same voltages in a fast log."""
+    slow = slow_log(4).with_updates(4)
+    run = slow.runs[0]
+    fast = dataclasses.replace(
+        run,
+        updates=1,
+        time_s=update_times(run.time_s, 4),
+        inputs=updated_inputs(run.time_s, run.inputs, 4),
+        outputs=at_updates(run.outputs, 4, between=np.nan),
+    )
+    for bandwidth in (SIMULATION, SEARCH_BANDWIDTH):
+        both = [predict(RIG, r, bandwidth, period=4e-3, states=True) for r in (run, fast)]
+        for slowly, quickly in zip(*both, strict=True):
+            assert np.array_equal(slowly, quickly[:, ::4])
+
+
+def test_a_simulation_of_a_slow_log_interpolates_the_voltages() -> None:
+    log = every(controlled(0), 4)
+    errors = [
+        np.sqrt(np.mean(simulate_recording(RIG, log, updates=updates).error ** 2)) for updates in (1, 4)
+    ]
+    assert errors[1] < 0.5 * errors[0]  # the controller also reacts to noise between the rows
+
+
+def test_check_names_voltages_that_change_between_rows() -> None:
+    (finding,) = check_voltages_between_rows(slow_log(4), AXIS)
+    assert finding.severity == "advice"
+    assert "change between the rows" in finding.message
+    assert "mass 0" not in finding.message
+    assert check_voltages_between_rows(slow_log(1), AXIS) == []
+
+
+def test_interpolated_inputs_keep_the_rows_and_do_not_overshoot_a_jump() -> None:
+    time_s = np.array([0.0, 1.0, 2.0, 3.5, 4.5, 5.5])
+    inputs = np.array([0.0, 0.0, 0.0, 3.0, 3.0, 3.0])[:, None]
+    between = updated_inputs(time_s, inputs, 3)
+    assert between[::3] == pytest.approx(inputs)
+    assert np.all((between >= -1e-12) & (between <= 3.0 + 1e-12))
+    assert update_times(time_s, 3)[6:10] == pytest.approx([2.0, 2.5, 3.0, 3.5])
+    rows = np.arange(6.0)[:, None]
+    assert np.array_equal(at_updates(rows, 2)[:5, 0], [0.0, 0.0, 1.0, 1.0, 2.0])
+    assert np.array_equal(at_updates(rows, 2, between=9.0)[:5, 0], [0.0, 9.0, 1.0, 9.0, 2.0])
