@@ -50,9 +50,9 @@ class UpdatesEvidence:
 def voltages_change_between_rows(evidence: UpdatesEvidence, criteria: SelectionCriteria) -> bool:
     """Return whether the voltages change between the rows, instead of being held.
 
-    Held voltages must leave clearly more of the error beyond the noise, in most runs. On the log of a controller that is
-    four times as fast, they leave 3.5 times as much. Where an effect is missing from a machine whose voltages are held,
-    changes between the rows describe up to 8 % of the error.
+    Held voltages must leave clearly more of the error beyond the noise, in most runs. On the log of a controller that
+    is four times as fast, they leave 3.5 times as much. Where an effect is missing and voltages are held, changes
+    between the rows describe up to 8 % of the error.
 
     Args:
         evidence: Errors with held and with changing voltages.
