@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .criteria import SelectionCriteria
-from .error import AS_GOOD, CLEAR, FAR, FitError, Measured, noise_floor, required_gain
+from .error import AS_GOOD, CLEAR, FAR, FitError, Measured, is_enough, required_gain
 
 # Two runs may differ in almost any parameter, and two must agree with each other for another one to contradict them.
 MIN_RUNS_COMPARED = 3
@@ -58,10 +58,9 @@ def voltages_change_between_rows(evidence: UpdatesEvidence, criteria: SelectionC
         evidence: Errors with held and with changing voltages.
         criteria: Decision thresholds of `required_gain`.
     """
-    floor = noise_floor(evidence.held, criteria)
-    held, updated = (max(error.chi2 - floor, 0.0) for error in (evidence.held, evidence.updated))
-    as_good = held - updated < required_gain(evidence.held, criteria) or held <= AS_GOOD * updated
-    return not as_good and evidence.better > 0.5
+    held, updated = evidence.held, evidence.updated
+    enough = is_enough(held, updated, required_gain(held, criteria))
+    return enough and held.excess > AS_GOOD * updated.excess and evidence.better > 0.5
 
 
 @dataclass(frozen=True)
