@@ -149,6 +149,12 @@ _CASES = (
     Case("voltage_limit", "motor1", {"U": 4.0}, {"voltage_limit_V": (4.0, np.inf)}),
     Case("current_limit", "motor1", {"I": 4.5}, {"current_limit_A": (4.5, np.inf)}),
     Case("torque_saturation", "motor1", {"s": 0.01}, {"torque_saturation_A": (10.0, np.inf)}),
+    Case(
+        "commutation_ripple",
+        "motor1",
+        {"a": 0.12, "n": 23.6, "p": 0.0},
+        {"current_ripple": (0.12, 0.0), "current_ripple_order": (23.6, 12.0)},
+    ),
     Case("electrical_lag", "motor2", {"tau": 1.5e-3}, {"electrical_lag_s": (0.0, 1.5e-3)}),
     Case("input_delay", "drives", {"d": 2.3e-3}, {"input_delay_s": (2.3e-3, 2.3e-3)}),
     Case("belt_play", "belts", {"d": 0.15e-3}, {"belt_play_m": 0.15e-3}),

@@ -19,28 +19,30 @@ from tests.identification.axis_results import AXIS, axis_runs
 pytestmark = pytest.mark.unit
 
 
-def motion(rate: float, *, friction: bool) -> np.ndarray:
-    """Return position, velocity and the force of a sine of position, beside viscous and dry friction, (n, 3)."""
+def motion(rate: float, kind: str = "force") -> tuple[np.ndarray, np.ndarray | None]:
+    """Return position, velocity and the force of a sine of position, beside viscous and dry friction, and its factor."""
     time_s = np.arange(6000) * 1e-3
     position = 0.2 * np.sin(2 * np.pi * 0.37 * time_s) + 0.05 * np.sin(2 * np.pi * 1.7 * time_s)
     velocity = np.gradient(position, time_s)
-    wave = 0.3 * np.sin(rate * position + 0.4) * (np.sign(velocity) if friction else 1.0)
+    current = np.sin(2 * np.pi * 2.9 * time_s) + np.cos(2 * np.pi * 0.6 * time_s)
+    factor = {"force": None, "friction": np.sign(velocity), "torque": current}[kind]
+    wave = 0.3 * np.sin(rate * position + 0.4) * (1.0 if factor is None else factor)
     noise = np.random.default_rng(0).normal(0.0, 0.2, len(time_s))
-    return np.column_stack([position, velocity, wave + 2.0 * velocity + 1.5 * np.sign(velocity) + noise])
+    force = wave + 2.0 * velocity + 1.5 * np.sign(velocity) + noise
+    return np.column_stack([position, velocity, force]), factor
 
 
-@pytest.mark.parametrize("friction", [False, True])
+@pytest.mark.parametrize("kind", ["force", "friction", "torque"])
 @pytest.mark.parametrize("rate", [100.0, 583.0])
-def test_the_rate_of_a_sine_is_the_first_peak(rate: float, friction: bool) -> None:
-    data = motion(rate, friction=friction)
+def test_the_rate_of_a_sine_is_the_first_peak(rate: float, kind: str) -> None:
+    data, factor = motion(rate, kind)
     resolution = 2 * np.pi / np.ptp(data[:, 0])
-    peaks = periodogram_peaks(data, 1e-3, friction=friction)
-    assert abs(peaks - rate).min() < 0.5 * resolution
+    peaks = periodogram_peaks(data, 1e-3, factor=factor)
     assert abs(peaks[0] - rate) < 0.5 * resolution
 
 
 def test_a_coordinate_that_rests_has_no_periods() -> None:
-    assert len(periodogram_peaks(np.zeros((100, 3)), 1e-3, friction=False)) == 0
+    assert len(periodogram_peaks(np.zeros((100, 3)), 1e-3)) == 0
     assert len(slow_rates(np.zeros(100))) == 0
 
 
@@ -77,10 +79,10 @@ def test_the_recorded_motion_limits_what_a_fit_may_reach(hframe: Machine) -> Non
 
 
 def test_a_force_has_at_least_one_period(hframe: Machine) -> None:
-    data = motion(0.6 * 2 * np.pi / 0.5, friction=False)
+    data, _ = motion(0.6 * 2 * np.pi / 0.5)
     span = np.ptp(data[:, 0])
-    assert periodogram_peaks(data, 1e-3, friction=False).min() >= 2 * np.pi / span * 0.999
-    assert periodogram_peaks(data, 1e-3, friction=True).min() < 2 * np.pi / span
+    assert periodogram_peaks(data, 1e-3).min() >= 2 * np.pi / span * 0.999
+    assert periodogram_peaks(data, 1e-3, factor=np.sign(data[:, 1])).min() < 2 * np.pi / span
 
 
 @pytest.mark.parametrize(
@@ -138,15 +140,15 @@ def test_a_table_that_the_machine_has_is_not_proposed_again() -> None:
 
 def test_the_rate_of_many_short_periods_is_the_first_peak() -> None:
     """300 periods over the range of the motion, of which slow motion has enough rows."""
-    rate = 300 * 2 * np.pi / np.ptp(motion(1.0, friction=False)[:, 0])
-    data = motion(rate, friction=False)
-    assert abs(periodogram_peaks(data, 1e-3, friction=False)[0] - rate) < 0.5 * rate / 300
+    rate = 300 * 2 * np.pi / np.ptp(motion(1.0)[0][:, 0])
+    data, _ = motion(rate)
+    assert abs(periodogram_peaks(data, 1e-3)[0] - rate) < 0.5 * rate / 300
 
 
 def test_second_cogging_is_a_candidate_only_beside_cogging() -> None:
     data = axis_runs(AXIS, rows=1000, volts=6.0)
     scales = TypicalScales({"x": {"force": 2.0, "speed": 0.5, "position": 0.2}}, {})
-    missing = {"x": motion(100.0, friction=False)}
+    missing = {"x": motion(100.0)[0]}
 
     def labels(machine: Machine) -> set[str]:
         return {candidate.label for candidate in candidates(machine, data, scales, missing)}

@@ -95,6 +95,7 @@ SITES: dict[str, tuple[str, ...]] = {
     "dead_band": ("motor1",),
     "current_limit": ("motor1",),
     "torque_saturation": ("motor1",),
+    "commutation_ripple": ("motor1",),
     "electrical_lag": ("motor2",),
     "input_delay": ("drives", "motor2"),
     "asymmetric_viscous": ("x", "phi1"),

@@ -244,6 +244,10 @@ def effect(name: str, site: str, size: float) -> HiddenEffect:
         case "voltage_limit":
             volts = (1.0 - 0.6 * size) * MAX_VOLTAGE_V
             return _hidden(name, site, partial(motor, voltage_limit_V=volts), {"U": volts})
+        case "commutation_ripple":
+            ripple, order = 0.15 * size, 4 * 5.9
+            build = partial(motor, current_ripple=ripple, current_ripple_order=order)
+            return _hidden(name, site, build, {"a": ripple, "n": order})
         case "torque_saturation":
             amps = 10.0 / np.sqrt(size)
             return _hidden(name, site, partial(motor, torque_saturation_A=amps), {"s": amps**-2})

@@ -411,5 +411,5 @@ FAMILIES: dict[str, Callable[[np.random.Generator], OutsideEffect]] = {
     "eddy brake": _eddy_brake,
     "gas spring": _gas_spring,
 }
-# The library has these by now: torque_saturation, dwell_friction, and eccentric_encoder for one error per turn.
-IN_LIBRARY = frozenset({"torque saturation", "dwell friction", "eccentric encoder"})
+# The library has these by now; the effect eccentric_encoder is an error of one period per turn.
+IN_LIBRARY = frozenset({"torque saturation", "dwell friction", "eccentric encoder", "commutation ripple"})

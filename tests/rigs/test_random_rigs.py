@@ -49,6 +49,7 @@ def test_every_effect_of_the_library_is_drawn_at_admissible_sites(hframe):
     # Drawn as effects outside the library or off its form, from before the library had them, or newer than the seeds.
     assert set(EFFECTS) - set(SITES) == {
         "bouc_wen_hysteresis",
+        "commutation_ripple",
         "dahl_hysteresis",
         "dwell_friction",
         "eccentric_encoder",

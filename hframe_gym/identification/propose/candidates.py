@@ -196,7 +196,9 @@ def _shapes(
             grids[p.name] = [g * scales.get(p.unit, 1.0) for g in p.grid]
         elif p.role in ("rate", "period"):
             motion = missing_force[machine.coordinate_of_site(site, effect.site) or ""]
-            rates = periodogram_peaks(motion, data.period, friction=effect.coulomb is not None)
+            rates = periodogram_peaks(
+                motion, data.period, factor=_factor(effect, site, machine, data, motion)
+            )
             if slow_friction and effect.coulomb:
                 rates = np.concatenate([rates, slow_rates(motion[:, 0])])
             grids[p.name] = [float(rate) if p.role == "rate" else float(2 * np.pi / rate) for rate in rates]
@@ -206,6 +208,18 @@ def _shapes(
         grids[name] = [v for v in values if (1.0 - _ROUNDING) * low <= v <= (1.0 + _ROUNDING) * high]
     shapes = [dict(zip(grids, values, strict=True)) for values in itertools.product(*grids.values())]
     return list(shapes[:_MAX_SHAPES])
+
+
+def _factor(effect: Effect, site: str, machine: Machine, data: Dataset, motion: Array) -> Array | None:
+    """Return what multiplies a periodic quantity of an effect in each row, see `periodogram_peaks`."""
+    if effect.coulomb:
+        return np.sign(motion[:, 1])
+    if not effect.torque:
+        return None
+    j = [drive.name for drive in machine.drives].index(site)
+    drive, command = machine.drives[j], np.concatenate([run.inputs[:, j] for run in data.runs])
+    current: Array = (command - drive.emf_constant * motion[:, 1]) / drive.resistance
+    return current / max(float(np.abs(current).max()), np.finfo(float).tiny)
 
 
 def covered_by_runs(parameter: EffectParameter) -> bool:

@@ -36,13 +36,13 @@ _SLOW_PERIODS = np.concatenate([np.arange(0.5, 3.0, 0.25), np.arange(3.0, 6.1, 0
 _MAX_RATES = 7
 
 
-def periodogram_peaks(motion: Array, sampling_period: float, *, friction: bool) -> Array:
+def periodogram_peaks(motion: Array, sampling_period: float, *, factor: Array | None = None) -> Array:
     """Find the spatial rates (2 pi / period) at which the missing force varies most with the position.
 
-    The missing force is the force that the model lacks. At each spatial rate, a sine and a cosine of the position (for
-    friction: times the sign of the velocity) are fitted to it by least squares, together with a constant, viscous and
-    dry friction: a least-squares periodogram. Rates from 1 (friction: 0.5) to 1000 periods over the range of the
-    positions are tried. The fit at a rate uses only rows of slow motion, except near standstill: at their speed, one
+    The missing force is the force that the model lacks. At each spatial rate, a sine and a cosine of the position,
+    times a factor, are fitted to it by least squares, together with a constant, viscous and dry friction: a
+    least-squares periodogram. Rates from 1 (with a factor: 0.5) to 1000 periods over the range of the positions are
+    tried. The fit at a rate uses only rows of slow motion, except near standstill: at their speed, one
     period takes at least four rows and at least 1 / `HIGHEST_FREQUENCY` (25 ms). The strength of a rate is the sum
     of squares of the force that sine and cosine explain in these rows.
 
@@ -50,8 +50,8 @@ def periodogram_peaks(motion: Array, sampling_period: float, *, friction: bool) 
         motion: Columns position, velocity and missing force of one coordinate, m, m/s, N or rad, rad/s, Nm, shape
             (n, 3).
         sampling_period: Time from one row to the next, s.
-        friction: True for a periodic friction level, whose force changes sign with the velocity; False for a periodic
-            force.
+        factor: By what the periodic quantity is multiplied in each row, shape (n,): the sign of the velocity for a
+            friction level, the current for a torque constant. Default: 1, for a periodic force.
 
     Returns:
         At most seven spatial rates, rad per unit of position, shape (rates,). First, by decreasing strength, the
@@ -65,8 +65,10 @@ def periodogram_peaks(motion: Array, sampling_period: float, *, friction: bool) 
     span = float(np.ptp(motion[:, 0]))
     if span <= 0.0:
         return np.zeros(0)
-    fewest = MIN_FRICTION_PERIODS if friction else MIN_FORCE_PERIODS
-    points, power = _spectrum(motion, sampling_period, fewest, friction=friction)
+    fewest = MIN_FORCE_PERIODS if factor is None else MIN_FRICTION_PERIODS
+    points, power = _spectrum(
+        motion, np.ones(len(motion)) if factor is None else factor, sampling_period, fewest
+    )
     # First the best rate of each band, because the noise of the missing force grows with it; then the best of all.
     band = np.searchsorted(_BAND_EDGES, points / _POINTS_PER_PERIOD)
     best_of_band = [np.flatnonzero(band == k)[np.argmax(power[band == k])] for k in np.unique(band)]
@@ -98,7 +100,7 @@ def slow_rates(position: Array) -> Array:
 
 
 def _spectrum(
-    motion: Array, sampling_period: float, fewest: float, *, friction: bool
+    motion: Array, factor: Array, sampling_period: float, fewest: float
 ) -> tuple[NDArray[np.int64], Array]:
     """Return the points of the grid of rates, and the square sum that each explains, shape (points,) each.
 
@@ -119,14 +121,15 @@ def _spectrum(
         rows = (speed > _SLOWEST * min(fastest, top)) & (speed < fastest)
         if np.count_nonzero(rows) < _MIN_ROWS:
             continue
-        sign = np.sign(velocity[rows]) if friction else np.ones(np.count_nonzero(rows))
         all_points.append(points)
-        all_power.append(_explained_power(points, span, position[rows], velocity[rows], sign, force[rows]))
+        all_power.append(
+            _explained_power(points, span, position[rows], velocity[rows], factor[rows], force[rows])
+        )
     return np.concatenate(all_points), np.concatenate(all_power)
 
 
 def _explained_power(
-    points: NDArray[np.int64], span: float, position: Array, velocity: Array, sign: Array, force: Array
+    points: NDArray[np.int64], span: float, position: Array, velocity: Array, factor: Array, force: Array
 ) -> Array:
     """Return the square sum that a sine and a cosine at each point of the grid explain, shape (points,).
 
@@ -139,7 +142,7 @@ def _explained_power(
         span: Range of the positions.
         position: Positions above the lowest, shape (n,).
         velocity: Velocities, shape (n,).
-        sign: Factor of sine and cosine in each row: the direction of motion for friction, else 1, shape (n,).
+        factor: Factor of sine and cosine in each row, shape (n,).
         force: Missing force, shape (n,).
     """
     # Orthonormal basis of constant, viscous and dry friction, whose best fit is subtracted from the force.
@@ -157,11 +160,11 @@ def _explained_power(
         # The division undoes the smoothing by the distribution over two cells.
         return np.asarray(np.fft.rfft(sums)[points].conj() / np.sinc(points / cells) ** 2)
 
-    projection = transform(sign * force, points)
-    in_basis = np.stack([transform(sign * column, points) for column in basis.T], axis=1)
-    double_rate = transform(np.ones_like(position), 2 * points)
-    cc = 0.5 * (len(position) + double_rate.real) - np.sum(in_basis.real**2, axis=1)
-    ss = 0.5 * (len(position) - double_rate.real) - np.sum(in_basis.imag**2, axis=1)
+    projection = transform(factor * force, points)
+    in_basis = np.stack([transform(factor * column, points) for column in basis.T], axis=1)
+    square, double_rate = factor @ factor, transform(factor**2, 2 * points)
+    cc = 0.5 * (square + double_rate.real) - np.sum(in_basis.real**2, axis=1)
+    ss = 0.5 * (square - double_rate.real) - np.sum(in_basis.imag**2, axis=1)
     cs = 0.5 * double_rate.imag - np.sum(in_basis.real * in_basis.imag, axis=1)
     determinant = np.maximum(cc * ss - cs**2, 1e-9 * cc * ss + 1e-300)
     explained = ss * projection.real**2 + cc * projection.imag**2 - 2 * cs * projection.real * projection.imag

@@ -1,0 +1,30 @@
+"""Torque constant that varies with the angle of the motor, torque = N Kt i (1 + a sin(n q + p)), by its commutation.
+
+In contrast to `cogging`, the torque is in proportion to the current and vanishes without it.
+"""
+
+from ..dynamics.elementwise import sin
+from ..machine import Effect, EffectParameter
+
+
+def torque(i, q, a, n, p):  # type: ignore[no-untyped-def]
+    """Return the current i (1 + a sin(n q + p)), A, that makes this torque at a constant Kt.
+
+    i is the current, A, q the position, rad or m, n in rad per unit of q and p in rad.
+    """
+    return i * (1.0 + a * sin(n * q + p))
+
+
+EFFECT = Effect(
+    name="commutation_ripple",
+    family="commutation_ripple",
+    site="motor",
+    formula="torque = N Kt i (1 + a sin(n q + p))",
+    source="Hanselman, Brushless Permanent Magnet Motor Design, chapter 8",
+    torque=torque,
+    parameters=(
+        EffectParameter("a", "1", -0.99, 0.99, scale=0.1, role="amplitude"),
+        EffectParameter("n", "rad/position", 1e-3, 1e5, scale=0.1, role="rate"),
+        EffectParameter("p", "rad", -100.0, 100.0, scale=1.0, role="phase"),
+    ),
+)
