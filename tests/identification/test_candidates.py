@@ -20,7 +20,7 @@ pytestmark = pytest.mark.unit
 
 
 def motion(rate: float, kind: str = "force") -> tuple[np.ndarray, np.ndarray | None]:
-    """Return position, velocity and the force of a sine of position, beside viscous and dry friction, and its factor."""
+    """Return position, velocity and the force of a sine of position, beside viscous and dry friction; the sine's factor."""
     time_s = np.arange(6000) * 1e-3
     position = 0.2 * np.sin(2 * np.pi * 0.37 * time_s) + 0.05 * np.sin(2 * np.pi * 1.7 * time_s)
     velocity = np.gradient(position, time_s)
@@ -148,7 +148,7 @@ def test_the_rate_of_many_short_periods_is_the_first_peak() -> None:
 def test_second_cogging_is_a_candidate_only_beside_cogging() -> None:
     data = axis_runs(AXIS, rows=1000, volts=6.0)
     scales = TypicalScales({"x": {"force": 2.0, "speed": 0.5, "position": 0.2}}, {})
-    missing = {"x": motion(100.0)[0]}
+    missing = {"x": motion(100.0)[0][: sum(len(run.time_s) for run in data.runs)]}
 
     def labels(machine: Machine) -> set[str]:
         return {candidate.label for candidate in candidates(machine, data, scales, missing)}
