@@ -20,7 +20,7 @@ pytestmark = pytest.mark.unit
 
 
 def motion(rate: float, kind: str = "force") -> tuple[np.ndarray, np.ndarray | None]:
-    """Return position, velocity and the force of a sine of position, beside viscous and dry friction; the sine's factor."""
+    """Return position, velocity and the force of a sine of position, beside viscous and dry friction; its factor."""
     time_s = np.arange(6000) * 1e-3
     position = 0.2 * np.sin(2 * np.pi * 0.37 * time_s) + 0.05 * np.sin(2 * np.pi * 1.7 * time_s)
     velocity = np.gradient(position, time_s)
