@@ -120,7 +120,7 @@ def test_an_effect_may_bring_starting_values_of_its_own() -> None:
     effect = dataclasses.replace(EFFECTS["sensor_range"], name="own_range", starting_values=from_largest)
     register_effect(effect)
     try:
-        proposed = candidates(AXIS, data, TypicalScales({"x": {}}, {}), {"x": motion(100.0, friction=False)})
+        proposed = candidates(AXIS, data, TypicalScales({"x": {}}, {}), {"x": motion(100.0)[0][:3000]})
     finally:
         unregister_effect("own_range")
     [own] = [c for c in proposed if c.effect is effect]
