@@ -9,7 +9,7 @@ from typing import Any
 
 from ..controllers import MinimumEnergyTransfers, MotionModel
 from ..envs import TASKS, EnvConfig, Task, as_task
-from ..errors import InputError
+from ..errors import InputError, suggestion
 from ..machine import METERS, AxisUnit, Machine
 
 ALGORITHMS = ("ppo", "sac", "tqc", "crossq", "apg")
@@ -206,8 +206,9 @@ def load_recipe(name: str, task: str) -> Recipe:
     trained = recipe_task(task)
     file = resources.files(__package__) / "recipes" / f"{name}_{trained}.toml"
     if not file.is_file():
+        names = {recipe.rpartition("_")[0] for recipe in recipe_names()}
         listed = ", ".join(" on ".join(recipe.rsplit("_", 1)) for recipe in recipe_names())
         likewise = "" if trained == task else f" (the task {task} has the recipes of {trained})"
-        raise InputError(f"there is no recipe for {name} on {trained}{likewise}; choose one of: {listed}")
+        raise InputError(f"there is no recipe for {name} on {trained}{likewise}; choose one of: {listed}{suggestion(name, names)}")
     recipe = Recipe(name=f"{name}_{trained}", **tomllib.loads(file.read_text("utf-8")))
     return recipe if trained == task else replace(recipe, task={})

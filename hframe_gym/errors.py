@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import math
 import numbers
 from collections.abc import Iterable
@@ -21,6 +22,17 @@ _LONGEST_REASON = 300  # characters; those of other libraries may hold a whole f
 def one_line(error: Exception) -> str:
     """Return the reason that an exception of another library gives, in one line; its type if it gives none."""
     return " ".join(str(error).split())[:_LONGEST_REASON] or type(error).__name__
+
+
+def suggestion(name: object, names: Iterable[str]) -> str:
+    """Return the end of a message about an unknown name: "; did you mean 'corexy'?", or "" if no name is similar.
+
+    Args:
+        name: Name that a user gave.
+        names: Names that exist.
+    """
+    similar = difflib.get_close_matches(str(name), list(names), 1)
+    return f"; did you mean {similar[0]!r}?" if similar else ""
 
 
 def is_number(value: object) -> bool:

@@ -21,7 +21,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Generic, TypeVar
 
-from .errors import InputError
+from .errors import InputError, suggestion
 
 T = TypeVar("T")
 P = TypeVar("P")
@@ -176,6 +176,7 @@ class Registry(Generic[T]):
             place = f" in {file}" if file else ""  # another module than the user means may have the same name
             raise InputError(
                 f"{self.kind} {name!r} is unknown{place}; choose one of {', '.join(self._parts)}"
+                f"{suggestion(name, self._parts)}"
             )
         return self._parts[key]
 

@@ -139,12 +139,15 @@ def test_progress_is_a_plain_line_every_ten_seconds_where_there_is_no_terminal()
     ]
 
 
-def test_warnings_about_numbers_that_overflow_are_not_for_the_user(
+def test_warnings_about_numbers_and_of_other_libraries_are_not_for_the_user(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("HFRAME_DEBUG", raising=False)
     print_warning("overflow encountered in square", RuntimeWarning)
     print_warning("a length in millimeters?", UserWarning)
+    print_warning(
+        "Objective did not converge", UserWarning, "/venv/lib/site-packages/sklearn/linear_model/_cd.py"
+    )
     assert capsys.readouterr().err == "hframe: warning: a length in millimeters?\n"
     monkeypatch.setenv("HFRAME_DEBUG", "1")
     print_warning("overflow encountered in square", RuntimeWarning)

@@ -28,6 +28,7 @@ from hframe_gym.cli.support import training_proposal
 from hframe_gym.controllers import CONTROLLERS, ModelBasedController
 from hframe_gym.data_validation import Finding, print_findings
 from hframe_gym.effects import EFFECTS
+from hframe_gym.effects.smooth_table import TABLE_FAMILY
 from hframe_gym.envs import TASKS, EnvConfig
 from hframe_gym.errors import InputError
 from hframe_gym.evaluation import file_labels
@@ -595,6 +596,45 @@ def test_help_has_an_example(command: str, hframe_command: Command) -> None:
     assert f"hframe {command}" in out
 
 
+def test_the_help_lists_the_commands_in_the_order_of_the_work(hframe_command: Command) -> None:
+    _, out, _ = hframe_command("--help")
+    listed = re.findall(r"^│ ([a-z]+) ", out, re.MULTILINE)
+    work = ["machines", "import", "check", "identify", "report", "evaluate", "train", "export", "app"]
+    assert listed[: len(work)] == work
+    assert "Further commands" not in out  # every command has its place
+
+
+@pytest.mark.parametrize(
+    ("words", "name"),
+    [
+        (("evaluate", "textbook-pidd"), "textbook-pid"),
+        (("evaluate", "pid", "--task", "trak"), "track"),
+        (("evaluate", "pid", "--machine", "corexi"), "corexy"),
+        (("evaluate", "pid", "--randomize", "defualt"), "default"),
+        (("evaluate", "pid", "--sensors", "machin"), "machine"),
+        (("evaluate", "pid", "--protocol", "reach-v2"), "reach-v1"),
+        (("train", "ppoo"), "ppo"),
+    ],
+)
+def test_a_misspelled_name_has_a_suggestion(
+    words: tuple[str, ...], name: str, hframe_command: Command, tmp_path: Path
+) -> None:
+    code, _, error = hframe_command(*words, "--out", tmp_path)
+    assert code == 2
+    assert error.endswith(f"; did you mean {name!r}?\n")
+
+
+def test_identified_effects_are_listed_with_their_parameters_and_a_table_by_its_points() -> None:
+    values = {"dF": (2.8393, 4.2e-4, "N"), "n": (2.0, None, "1")}
+    entry = {"name": "stribeck_friction", "site": "x", "family": "friction", "held_out_gain": 0.9}
+    entry["parameters"] = {k: dict(zip(("value", "std", "unit"), v, strict=True)) for k, v in values.items()}
+    table = entry | {"name": "smooth_force[time]", "family": TABLE_FAMILY, "held_out_gain": 0.95}
+    assert cli_tables.effect_lines({"effects": [entry, table]}) == [
+        "smooth force[time] at x: a table of 1 points",
+        "stribeck friction at x: dF = 2.8393 +- 0.00042 N, n = 2",
+    ]
+
+
 def test_controllers_of_equal_name_have_plots_of_their_own() -> None:
     names = ["out/ppo", "pid", "ppo", "other/ppo", "module:name"]
     assert file_labels(names) == ["ppo", "pid", "ppo_2", "ppo_3", "module-name"]
@@ -707,7 +747,7 @@ def test_a_scorecard_of_one_axis_has_its_positions(hframe_command: Command, tmp_
     code, out, _ = hframe_command(*words)
     assert code == 0
     assert re.search(
-        r"Path of the tool under pid, from -?\d+ mm to the goal at -?\d+ mm",
+        r"Path of the tool under pid, worst episode \(\d+\), from -?\d+ mm to the goal at -?\d+ mm",
         (tmp_path / "scorecard.html").read_text(),
     )
     assert (

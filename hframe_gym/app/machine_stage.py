@@ -29,6 +29,7 @@ _OF_MACHINE = (RUNS, FINDINGS, RESULT, CONTROL, EXPORTS)  # what belongs to one 
 _KINDS = {
     "hframe": "H-frame, one belt for both motors",
     "axis": "One axis",
+    "belt-axis": "One axis on a belt",
     "corexy": "CoreXY, a belt for each motor",
 }
 

@@ -70,6 +70,37 @@ class CommandGroup(TyperGroup):
         return command
 
 
+# The commands in the order in which a user needs them; the help lists them first, in panels.
+_PANELS = {
+    "The way from logs to a controller": (
+        *("machines", "import", "check", "identify", "report", "evaluate", "train", "export"),
+        "app",
+    ),
+    "Beside it": ("examples", "simulate", "play", "effects", "kernel"),
+}
+
+
+class MainGroup(CommandGroup):
+    """The group of all commands, listed in the order of the work."""
+
+    @override
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Return the names of the commands in the order of the work; others follow."""
+        order = [name for names in _PANELS.values() for name in names]
+        names = super().list_commands(ctx)
+        return sorted(names, key=lambda name: order.index(name) if name in order else len(order))
+
+    @override
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """Return a command, with the panel of the help page in which it is listed."""
+        command = super().get_command(ctx, cmd_name)
+        if command is not None:
+            command.rich_help_panel = next(
+                (panel for panel, names in _PANELS.items() if cmd_name in names), "Further commands"
+            )
+        return command
+
+
 class Application(typer.Typer):
     """Typer application whose commands are of the class `Command` unless another one is given."""
 
@@ -82,7 +113,7 @@ class Application(typer.Typer):
 
 
 app = Application(
-    cls=CommandGroup,
+    cls=MainGroup,
     help="H-frame stages: simulate, identify from measured data, train and evaluate controllers.",
     no_args_is_help=True,
     add_completion=False,

@@ -6,14 +6,13 @@ import dataclasses
 import inspect
 import typing
 from collections.abc import Callable
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from typing_extensions import override
 
-from ..errors import InputError
+from ..errors import InputError, suggestion
 from .app import CommandGroup, CommandWithChoices, app, log, register_agents
 
 _HELP = """Write a machine, a controller or an agent in the files of other tools; KIND is one of the commands below.
@@ -68,9 +67,9 @@ def _require_controller(word: str, kinds: list[str]) -> None:
     )
     if word in CONTROLLERS or ":" in word or agents or Path(word).is_dir():
         return
-    near = get_close_matches(word, kinds, 1)
-    hint = f"; did you mean {near[0]}?" if near else ""
-    raise InputError(f"kind of export {word!r} is unknown; choose one of {', '.join(kinds)}{hint}")
+    raise InputError(
+        f"kind of export {word!r} is unknown; choose one of {', '.join(kinds)}{suggestion(word, kinds)}"
+    )
 
 
 def _command(kind: str) -> Any:

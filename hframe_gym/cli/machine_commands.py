@@ -113,7 +113,7 @@ def print_schema() -> None:
 
 @machines_app.command("new")
 def new_machine_file(
-    like: Annotated[str, typer.Option(help="Template: hframe, axis or corexy.")] = "",
+    like: Annotated[str, typer.Option(help="Template: hframe, axis, belt-axis or corexy.")] = "",
     out: Annotated[Path | None, typer.Option(help="File to write.")] = None,
     name: Annotated[str, typer.Option(help="Name of the machine (default: name of the file).")] = "",
     travel: Annotated[str, typer.Option(help="Travel along x and y, m, for example 0.3,0.2.")] = "",

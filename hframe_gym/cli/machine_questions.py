@@ -177,7 +177,7 @@ def ask(answers: MachineAnswers, log: Callable[[str], None], force: bool = False
         if like in templates and getattr(answers, option) in ("", None):
             answers = _ask_value(answers, option, question, log)
     while answers.linear_sensor is None:
-        axes = "x" if like == "axis" else "x and y"
+        axes = " and ".join(new_machine(like, "template", MachineOptions()).tool_axes)
         measured = typer.confirm(f"Does a sensor measure {axes} directly?", default=True)
         trial = dataclasses.replace(answers, linear_sensor=measured)
         if _is_usable(trial, log):

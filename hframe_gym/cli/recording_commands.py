@@ -246,7 +246,7 @@ def identify(
     from ..identification.report.answers import verdict_sentence
     from ..identification.report.saved_result import next_command
     from ..recordings import load_machine
-    from .tables import identification_table
+    from .tables import effect_lines, identification_table
 
     declared, rigs = load_machine(machine), rig_folders(runs_dir)
     fit = partial(_fit_rig, declared, hold_out or (), force, budget)
@@ -266,6 +266,8 @@ def identify(
         contents, problem = _write_rig(result, findings, runs_dir, out, out, log)
         console.print(identification_table(contents, channels := list(declared.output_channels)))
         log(f"Result: {verdict_sentence(contents, channels)}")
+        for line in effect_lines(contents):
+            log(f"  {line}")
         _log_notes(result, findings)
     if problem is not None and not isinstance(problem, ImportError):
         raise problem

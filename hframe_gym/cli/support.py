@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from ..machine import AxisUnit, Machine
     from ..recordings import Recording
 
+_PACKAGE = Path(__file__).parents[1]
 _SECONDS_BETWEEN_LINES = 10.0  # of processor time, where progress is no line at the bottom of a terminal
 FULL_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 INPUT_AT_FAULT, INTERNAL_ERROR = 2, 1
@@ -204,13 +205,17 @@ def _example(error: Exception) -> str:
     )
 
 
-def print_warning(message: Warning | str, category: type[Warning], *_args: Any, **_keywords: Any) -> None:
-    """Print a warning of the library as one line on standard error (assigned to `warnings.showwarning`).
+def print_warning(
+    message: Warning | str, category: type[Warning], filename: str = "", *_args: Any, **_keywords: Any
+) -> None:
+    """Print a warning as one line on standard error (assigned to `warnings.showwarning`).
 
-    Warnings of NumPy about numbers that overflow are left out: a search tries machines that diverge, and tells so where
-    it matters.
+    Those of other libraries are left out: they speak of calls that the user did not write. So are warnings of NumPy
+    about numbers that overflow: a search tries machines that diverge, and tells so where it matters.
     """
-    if issubclass(category, RuntimeWarning) and not os.environ.get(DEBUG_VARIABLE):
+    path = Path(filename)
+    foreign = "site-packages" in path.parts and not path.is_relative_to(_PACKAGE)
+    if (foreign or issubclass(category, RuntimeWarning)) and not os.environ.get(DEBUG_VARIABLE):
         return
     print(f"hframe: warning: {plain_text(' '.join(str(message).split()))}", file=sys.stderr)
 

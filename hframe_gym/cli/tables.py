@@ -13,6 +13,7 @@ from rich.table import Table
 
 from ..dynamics import mode_frequencies
 from ..effects import EFFECTS
+from ..effects.smooth_table import TABLE_FAMILY
 from ..machine import BUILTIN_MACHINES, METERS, AxisUnit, Machine, Row, motion_limits, rigid_motions
 from ..registry import load_plugins
 from ..web_page import number
@@ -60,6 +61,33 @@ def identification_table(report: Mapping[str, Any], channels: Sequence[str]) -> 
     if "force_error" in errors[0]:
         table.add_row("force, relative", *(_force_cell(e) for e in errors))
     return table
+
+
+def effect_lines(report: Mapping[str, Any]) -> list[str]:
+    """Describe the identified effects with their parameters, one line each, those with the largest gain first.
+
+    Args:
+        report: Contents of report.json, the file that `hframe identify` writes.
+
+    Returns:
+        Lines such as "stribeck friction at x: dF = 2.8393 +- 0.0004 N, vs = 0.040011 +- 9.7e-06 m/s". Of a table, only
+        the number of its points.
+    """
+    lines = []
+    for effect in sorted(report["effects"], key=lambda e: -e["held_out_gain"]):
+        values = [_parameter_text(name, p) for name, p in effect["parameters"].items()]
+        text = (
+            f"a table of {len(values) // 2} points" if effect["family"] == TABLE_FAMILY else ", ".join(values)
+        )
+        lines.append(f"{effect['name'].replace('_', ' ')} at {effect['site']}: {text}")
+    return lines
+
+
+def _parameter_text(name: str, parameter: Mapping[str, Any]) -> str:
+    """Return a parameter of report.json with its standard deviation and unit."""
+    spread = "" if parameter["std"] is None else f" +- {parameter['std']:.2g}"
+    unit = "" if parameter["unit"] == "1" else f" {parameter['unit']}"
+    return f"{name} = {parameter['value']:.5g}{spread}{unit}"
 
 
 def _force_cell(errors: Mapping[str, Any]) -> str:
@@ -265,9 +293,7 @@ def machine_tables(machine: Machine) -> list[Table]:
     tables = [_coordinate_table(machine), _belt_table(machine), _drive_table(machine), _sensor_table(machine)]
     effects = _titled("effects", "effect@site", "parameters")
     for effect in machine.effects:
-        values = (
-            f"{k} = {v:.4g} {_unit(machine, f'{effect.label}.{k}')}" for k, v in effect.parameters.items()
-        )
+        values = (f"{k} = {_cell(machine, f'{effect.label}.{k}', v)}" for k, v in effect.parameters.items())
         effects.add_row(escape(effect.label), escape(", ".join(values)))
     return [table for table in (*tables, effects, _limits_table(machine)) if table.row_count]
 

@@ -23,7 +23,7 @@ from ..dynamics import LANES
 from ..dynamics.codegen.blocks import read_block
 from ..dynamics.codegen.compiled import compiled
 from ..effects import EFFECTS
-from ..errors import InputError, is_integer, is_number
+from ..errors import InputError, is_integer, is_number, suggestion
 from ..machine import Machine
 
 
@@ -119,6 +119,7 @@ def with_actuators(machine: Machine, drives: ActuatorsLike) -> Machine:
     if not isinstance(drives, str) or drives not in ACTUATOR_PRESETS:
         raise InputError(
             f"drives is {drives!r}; choose one of {', '.join(ACTUATOR_PRESETS)}, or give Actuators(...)"
+            f"{suggestion(drives, ACTUATOR_PRESETS)}"
         )
     preset = ACTUATOR_PRESETS[drives]
     return machine if preset is None else preset.apply(machine)

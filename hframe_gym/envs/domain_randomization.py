@@ -24,7 +24,7 @@ from scipy.special import exp10, ndtri
 from typing_extensions import override
 
 from ..arrays import Array
-from ..errors import InputError, is_number
+from ..errors import InputError, is_number, suggestion
 from ..registry import Registry
 
 How = Literal["scale", "add", "set"]
@@ -282,6 +282,7 @@ def as_rules(randomize: RandomizationLike, names: Sequence[str]) -> tuple[Rule, 
             presets = ", ".join(RANDOMIZATION_PRESETS)
             raise InputError(
                 f"randomize is {randomize!r}; choose one of {presets}, or a list of RandomizeParameter"
+                f"{suggestion(randomize, RANDOMIZATION_PRESETS)}"
             )
         preset = RANDOMIZATION_PRESETS[randomize]
         return tuple(r for r in preset if isinstance(r, RandomizeIdentified) or matching(names, r))

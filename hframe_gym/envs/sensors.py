@@ -18,7 +18,7 @@ from typing_extensions import override
 
 from ..arrays import Array, Index
 from ..effects import EFFECTS
-from ..errors import InputError, is_number
+from ..errors import InputError, is_number, suggestion
 from ..machine import Machine, Sensor, observed_coordinates, rest_positions_per_axis
 
 
@@ -193,6 +193,7 @@ def as_sensors(sensors: SensorsLike) -> SensorSuite | None:
     if not isinstance(sensors, str) or sensors not in SENSOR_PRESETS:
         raise InputError(
             f"sensors is {sensors!r}; choose one of {', '.join(SENSOR_PRESETS)}, or give Sensors(...)"
+            f"{suggestion(sensors, SENSOR_PRESETS)}"
         )
     return SENSOR_PRESETS[sensors]
 

@@ -36,7 +36,7 @@ from ..arrays import Array
 from ..controllers import CONTROLLERS, Controller, OutputFeedbackController, StateEstimator
 from ..envs import RANDOMIZATION_PRESETS, Reach, Task, Track, as_machine, observed_machine
 from ..envs.actuators import ACTUATOR_PRESETS
-from ..errors import InputError
+from ..errors import InputError, suggestion
 from ..machine import Machine
 from ..recordings.machine_file import machine_to_dict
 from ..registry import load_plugins
@@ -202,7 +202,9 @@ def get_protocol(name: str) -> Protocol:
             "python -m benchmarks.gap run ENTRY in a clone of the repository (docs/gap.md)"
         )
     if name not in PROTOCOLS:
-        raise InputError(f"protocol {name!r} is unknown; choose one of {', '.join(PROTOCOLS)}")
+        raise InputError(
+            f"protocol {name!r} is unknown; choose one of {', '.join(PROTOCOLS)}{suggestion(name, PROTOCOLS)}"
+        )
     return PROTOCOLS[name]
 
 

@@ -36,7 +36,7 @@ from ..envs import (
     observed_machine,
 )
 from ..envs.environment_batch import EnvironmentBatch
-from ..errors import InputError
+from ..errors import InputError, suggestion
 from ..machine import METERS, AxisUnit, Machine
 from ..registry import Registry, load_plugins, names_module
 
@@ -314,7 +314,9 @@ def make_controller(
     sources = [CONTROLLER_SOURCES.get(source_name).describe(scenario) for source_name in CONTROLLER_SOURCES]
     choices = [", ".join(CONTROLLERS), "module:name of a controller that a module registers", *sources]
     problem = ": there is no such folder" if "/" in name or "\\" in name else " is unknown"
-    raise InputError(f"controller {name!r}{problem}; choose {'; or '.join(choices)}")
+    raise InputError(
+        f"controller {name!r}{problem}; choose {'; or '.join(choices)}{suggestion(name, CONTROLLERS)}"
+    )
 
 
 def _batch_of(environment: Any) -> EnvironmentBatch | None:

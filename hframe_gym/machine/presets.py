@@ -199,6 +199,41 @@ def axis() -> Machine:
     )
 
 
+# A belt axis with the motor of the CoreXY stage below; lengths at the center of its travel of 0.5 m.
+BELT_AXIS_MOTOR_SIDE = 0.36  # m, from the pulley of the motor to the carriage
+BELT_AXIS_IDLER_SIDE = 1.08  # m, from the pulley of the motor around the idler, 0.72 m away, to the carriage
+
+
+def belt_axis() -> Machine:
+    """Return a carriage on a belt between the pulley of a motor and an idler, as a template for other machines.
+
+    Returns:
+        The preset `belt-axis`: coordinates x (m) and phi (rad), two sections of one belt, whose EA is tied
+        (`Machine.ties`), one drive of 24 V, an encoder on the motor shaft and a linear sensor.
+    """
+    pulley = Coordinate("phi", mass=6e-6, viscous=2e-5, coulomb=0.01, kind="rotary", radius=COREXY_RADIUS)
+    sections = (("motor_side", BELT_AXIS_MOTOR_SIDE, 1.0), ("idler_side", BELT_AXIS_IDLER_SIDE, -1.0))
+    return Machine(
+        name="belt-axis",
+        description="One carriage on a belt, driven by one motor; copy it and edit it to describe a machine.",
+        coordinates=(Coordinate("x", mass=1.0, viscous=4.0, coulomb=1.5, range=(-0.25, 0.25)), pulley),
+        belts=tuple(
+            Belt(name, COREXY_EA, length, {"x": sign, "phi": -sign}, length={"x": sign})
+            for name, length, sign in sections
+        ),
+        drives=(
+            Drive(
+                "motor", "v_V", "phi", Kt=0.04, Ke=0.04, resistance=2.0, gear_ratio=1.0, rated_voltage=24.0
+            ),
+        ),
+        sensors=(
+            Sensor("phi_rad", {"phi": 1.0}, resolution=COREXY_ENCODER_QUANTUM, kind="encoder"),
+            Sensor("x_m", {"x": 1.0}, noise=20e-6),
+        ),
+        ties={"idler_side.EA": ("motor_side.EA", 1.0)},
+    )
+
+
 # A CoreXY stage of the size of a desktop 3D printer. The values are typical ones, not those of a particular machine.
 COREXY_RADIUS = 20 * 2e-3 / (2 * math.pi)  # m, pitch radius of a pulley of 20 teeth with a pitch of 2 mm
 # N. A belt of 6 mm with glass cords stretches by about 1 % under a load of 10 kg (acceptance test of FarmBot's belt).
@@ -206,6 +241,7 @@ COREXY_EA = 1.0e4
 COREXY_TRAVEL = 0.15  # m, to either side of the center, x and y
 # m, from the motor to the carriage at the center: 0.23 m along the frame and 0.20 m along the bridge.
 COREXY_SHORT = 0.43
+COREXY_ENCODER_QUANTUM = 2 * math.pi / (4 * 1000)  # rad; 1000 lines, read in quadrature, on the motor shafts
 COREXY_LONG = 1.35  # m, the other way around the frame, which is 0.46 m wide and deep
 
 
@@ -256,7 +292,6 @@ def corexy() -> Machine:
         Coordinate(f"phi{i}", mass=6e-6, viscous=2e-5, coulomb=0.01, kind="rotary", radius=COREXY_RADIUS)
         for i in (1, 2)
     )
-    quantum = 2 * math.pi / (4 * 1000)  # rad; encoders of 1000 lines, read in quadrature, on the motor shafts
     travel = (-COREXY_TRAVEL, COREXY_TRAVEL)
     return Machine(
         name="corexy",
@@ -270,8 +305,8 @@ def corexy() -> Machine:
         belts=tuple(belts),
         drives=drives,
         sensors=(
-            Sensor("phi1_rad", {"phi1": 1.0}, resolution=quantum, kind="encoder"),
-            Sensor("phi2_rad", {"phi2": 1.0}, resolution=quantum, kind="encoder"),
+            Sensor("phi1_rad", {"phi1": 1.0}, resolution=COREXY_ENCODER_QUANTUM, kind="encoder"),
+            Sensor("phi2_rad", {"phi2": 1.0}, resolution=COREXY_ENCODER_QUANTUM, kind="encoder"),
             Sensor("x_m", {"x": 1.0}, noise=20e-6),
             Sensor("y_m", {"y": 1.0}, noise=20e-6),
         ),
@@ -285,5 +320,6 @@ BUILTIN_MACHINES: dict[str, Callable[[], Machine]] = {
     "hframe-literal": hframe_literal,
     "hframe-order20": hframe_order20,
     "axis": axis,
+    "belt-axis": belt_axis,
     "corexy": corexy,
 }

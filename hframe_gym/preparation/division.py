@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..arrays import Array
-from ..errors import InputError
+from ..errors import InputError, suggestion
 from ..recordings import Recording
 from .dataset import MIN_ROWS
 from .sensor_properties import difference_noise
@@ -88,7 +88,9 @@ def hold_out(recordings: Sequence[Recording], chosen: Sequence[str] = ()) -> tup
     names = [r.name for r in recordings]
     unknown = [c for c in chosen if c not in names]
     if unknown:
-        raise InputError(f"--hold-out {unknown[0]}: no such run; the runs are {', '.join(names)}")
+        raise InputError(
+            f"--hold-out {unknown[0]}: no such run; the runs are {', '.join(names)}{suggestion(unknown[0], names)}"
+        )
     moving = moving_runs(recordings)
     eligible = [r for r in recordings if r.name in moving] or recordings
     if len(eligible) == 1 < len(names):

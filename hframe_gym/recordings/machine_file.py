@@ -12,7 +12,7 @@ from typing import Any, get_args
 from pydantic import ValidationError
 
 from ..atomic_files import write_text
-from ..errors import InputError
+from ..errors import InputError, suggestion
 from ..file_limits import read_document
 from ..machine import BUILTIN_MACHINES, DRIVE_KINDS, Machine, Sensor
 from .machine_reader import MachineReader
@@ -49,6 +49,7 @@ def load_machine(source: str | Path | Machine) -> Machine:
     if not path.is_file():
         raise InputError(
             f"machine {str(source)!r} is neither a file nor one of {', '.join(BUILTIN_MACHINES)}"
+            f"{suggestion(source, BUILTIN_MACHINES)}"
         )
     text = read_document(path)
     try:

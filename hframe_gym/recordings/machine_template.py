@@ -12,18 +12,20 @@ from pathlib import Path
 from typing import Any
 
 from ..atomic_files import write_text
-from ..errors import InputError
+from ..errors import InputError, suggestion
 from ..machine import BUILTIN_MACHINES, Drive, Machine, Sensor
 from .machine_file import machine_to_dict
 from .machine_reader import MachineReader
 from .machine_schema import MachineFile
 
-TEMPLATES = ("hframe", "axis", "corexy")
+TEMPLATES = ("hframe", "axis", "belt-axis", "corexy")
 # m of rest length per m of travel along x and y: the frame grows with the travel, and with it the belts.
 _LENGTH_PER_TRAVEL = {
     "left": (1.5, 0.5),
     "right": (1.5, 0.5),
     "bottom": (1.0, 1.0),
+    "motor_side": (0.5, 0.0),
+    "idler_side": (1.5, 0.0),
     "belt1_short": (0.5, 0.5),
     "belt2_short": (0.5, 0.5),
     "belt1_long": (1.5, 1.5),
@@ -35,6 +37,7 @@ _LONGEST = {"travel": 20.0, "pulley_radius": 1.0}  # m; larger values are refuse
 _KINEMATICS = {
     "hframe": "H-frame: one belt for both motors. With p = radius * phi: x = (p2 - p1) / 2 and y = -(p1 + p2) / 2.",
     "axis": "One axis: the motor moves the carriage directly, gear_ratio is the angle of its shaft per m of travel.",
+    "belt-axis": "Belt axis: a belt between the motor's pulley and an idler moves the carriage, x = radius * phi.",
     "corexy": "CoreXY: one belt per motor. With p = radius * phi: x = (p1 + p2) / 2 and y = (p1 - p2) / 2.",
 }
 _COORDINATE_COMMENTS = {
@@ -44,6 +47,7 @@ _COORDINATE_COMMENTS = {
         "axis",
         "x",
     ): "The carriage. mass: everything that moves, plus gear_ratio^2 times the inertia of the rotor.",
+    ("belt-axis", "x"): "The carriage. mass: everything that moves along x, i.e. carriage and tool.",
     (
         "corexy",
         "x",
@@ -112,7 +116,7 @@ def new_machine(like: str, name: str, options: MachineOptions) -> Machine:
     ratio.
 
     Args:
-        like: Template: "hframe", "axis" or "corexy".
+        like: Template, one of `TEMPLATES`.
         name: Name of the new machine.
         options: Values of the new machine, each None where the template's value is kept.
 
@@ -124,7 +128,7 @@ def new_machine(like: str, name: str, options: MachineOptions) -> Machine:
             fit the template, or the machine would have no sensor.
     """
     if like not in TEMPLATES:
-        raise InputError(f"--like {like}: choose one of {', '.join(TEMPLATES)}")
+        raise InputError(f"--like {like}: choose one of {', '.join(TEMPLATES)}{suggestion(like, TEMPLATES)}")
     machine = BUILTIN_MACHINES[like]().replace(
         name=name, description=f"A machine like {like}; see docs/machine.md."
     )
@@ -145,7 +149,7 @@ def write_machine_template(like: str, machine: Machine, path: Path) -> None:
     """Write a new machine to a machine.json with comments that explain its fields.
 
     Args:
-        like: Template of the machine: "hframe", "axis" or "corexy".
+        like: Template of the machine, one of `TEMPLATES`.
         machine: Machine that `new_machine` created from it.
         path: File to write; a missing folder is created, an existing file is replaced.
 
@@ -211,7 +215,7 @@ def _commented(
 
 def _check(like: str, options: MachineOptions) -> None:
     """Check that options are positive and fit the template."""
-    axes = 1 if like == "axis" else 2
+    axes = len(BUILTIN_MACHINES[like]().tool_axes)
     for name in ("travel", "mass"):
         values = getattr(options, name)
         if values is not None and len(values) != axes:

@@ -10,9 +10,9 @@ from .machine_template import TEMPLATES
 # Option, question, and the templates to which it applies.
 TEMPLATE_QUESTIONS = (
     ("travel", "Travel along x and y, m", ("hframe", "corexy")),
-    ("travel", "Travel, m", ("axis",)),
+    ("travel", "Travel, m", ("axis", "belt-axis")),
     ("mass", "Moving mass along x and y, kg", ("hframe", "corexy")),
-    ("mass", "Moving mass without the motor, kg", ("axis",)),
+    ("mass", "Moving mass without the motor, kg", ("axis", "belt-axis")),
     ("pulley_radius", "Pitch radius of the motors' pulleys, m", TEMPLATES),
     ("gear_ratio", "Turns of the motor per turn of the pulley", TEMPLATES),
     ("rotor_inertia", "Moment of inertia of a motor's rotor, kg m^2", TEMPLATES),

@@ -93,7 +93,7 @@ def test_the_command_writes_what_the_library_does(tmp_path: Path, capsys: pytest
     [
         (
             ["state-spce", "--out", "x"],
-            "kind of export 'state-spce' is unknown; choose one of .* did you mean state-space",
+            "kind of export 'state-spce' is unknown; choose one of .* did you mean 'state-space'",
         ),
         (["nobody", "--out", "x"], "kind of export 'nobody' is unknown"),
         (["klipper", "--shaper", "best", "--out", "x"], "'best' is not one of 'zv', 'mzv', 'ei'"),

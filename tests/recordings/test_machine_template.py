@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from hframe_gym.dynamics import mode_frequencies
 from hframe_gym.errors import InputError
 from hframe_gym.machine import BUILTIN_MACHINES, rigid_motions
 from hframe_gym.recordings import TEMPLATES, MachineOptions, load_machine, new_machine, write_machine_template
@@ -61,6 +62,17 @@ def test_options_of_a_corexy_machine() -> None:
     assert set(rigid_motions(machine)) == {"x", "y"}
 
 
+def test_the_belt_of_an_axis_connects_the_pulley_and_the_carriage() -> None:
+    machine = new_machine("belt-axis", "mine", MachineOptions(travel=(0.8,), mass=(2.0,), rotor_inertia=1e-5))
+    assert [b.rest_length for b in machine.belts] == pytest.approx([0.36 + 0.15, 1.08 + 0.45])
+    assert set(rigid_motions(machine)) == {"x"}
+    radius = machine.coordinate("phi").radius
+    reduced_mass = 1.0 / (1.0 / 2.0 + radius**2 / 1e-5)
+    stiffness = sum(b.EA / b.rest_length for b in machine.belts)
+    frequency = math.sqrt(stiffness / reduced_mass) / (2.0 * math.pi)
+    assert mode_frequencies(machine)[-1] == pytest.approx(frequency, rel=1e-3)
+
+
 def test_a_longer_frame_has_longer_belts_in_proportion_to_its_sides() -> None:
     machine = new_machine("corexy", "mine", MachineOptions(travel=(0.5, 0.3)))
     preset = BUILTIN_MACHINES["corexy"]()
@@ -102,7 +114,8 @@ def test_an_axis_with_a_pulley_a_rotor_and_an_encoder_only() -> None:
 @pytest.mark.parametrize(
     ("like", "options", "message"),
     [
-        ("delta", {}, "choose one of hframe, axis, corexy"),
+        ("delta", {}, "choose one of hframe, axis, belt-axis, corexy"),
+        ("corxy", {}, "did you mean 'corexy'?"),
         ("corexy", {"travel": (0.3,)}, "--travel: corexy needs 2 values"),
         ("axis", {"mass": (1.0, 2.0)}, "--mass: axis needs 1 value,"),
         ("corexy", {"Kt": -1.0}, "--Kt -1: must be positive"),

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...arrays import Array, ElapsedTimes, GoalPlans, Index, Workspace
-from ...errors import InputError
+from ...errors import InputError, suggestion
 from ...machine import METERS, AxisUnit
 from ...registry import Registry
 
@@ -166,7 +166,9 @@ def as_task(task: TaskLike, unit: AxisUnit = METERS, **settings: Any) -> Task:
         defaults = {name: getattr(named, name) * unit.per_meter for name in lengths}
         return named if unit is METERS else cast(Task, dataclasses.replace(cast(Any, named), **defaults))
     if not isinstance(task, Task):
-        raise InputError(f"task is {task!r}; choose one of {', '.join(TASKS)} or give a Task")
+        raise InputError(
+            f"task is {task!r}; choose one of {', '.join(TASKS)} or give a Task{suggestion(task, TASKS)}"
+        )
     return task
 
 

@@ -15,7 +15,7 @@ from typing_extensions import override
 
 from ...arrays import Array, ElapsedTimes, GoalPlans, Workspace
 from ...dynamics.codegen.compiled import compiled
-from ...errors import InputError, is_integer, is_number
+from ...errors import InputError, is_integer, is_number, suggestion
 from ...recordings import read_path
 from .base import TASKS, Metrics, Task
 from .curves import SHAPES, Curve, Polyline, point_at, traveled, write_distances
@@ -107,6 +107,7 @@ class Track(Task):
             shapes = ", ".join(SHAPES)
             raise InputError(
                 f"task track: path is {', '.join(unknown) or 'empty'}; choose from {shapes}, or give a .csv file"
+                f"{suggestion(unknown[0], SHAPES) if unknown else ''}"
             )
         return tuple(SHAPES[str(name)](self.size) for name in names)
 

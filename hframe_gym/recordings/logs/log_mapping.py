@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from ...errors import InputError
+from ...errors import InputError, suggestion
 from ...machine import DRIVE_KINDS, Machine
 from ...operating_system import quoted
 from ..quantities import QUANTITIES, normalize_unit
@@ -194,7 +194,10 @@ class _LogMapping:
         for option, by_channel in options.items():
             for channel in by_channel:
                 if channel not in (TIME, *self.channels):
-                    raise InputError(f"--{option} {channel}=...: no such channel; {self._channels_text()}")
+                    near = suggestion(channel, (TIME, *self.channels))
+                    raise InputError(
+                        f"--{option} {channel}=...: no such channel; {self._channels_text()}{near}"
+                    )
 
     def _refuse_back_emf(self) -> None:
         """Refuse a machine with the input current_A or torque_Nm whose drive takes it for a voltage."""
