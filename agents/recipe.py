@@ -209,6 +209,8 @@ def load_recipe(name: str, task: str) -> Recipe:
         names = {recipe.rpartition("_")[0] for recipe in recipe_names()}
         listed = ", ".join(" on ".join(recipe.rsplit("_", 1)) for recipe in recipe_names())
         likewise = "" if trained == task else f" (the task {task} has the recipes of {trained})"
-        raise InputError(f"there is no recipe for {name} on {trained}{likewise}; choose one of: {listed}{suggestion(name, names)}")
+        raise InputError(
+            f"there is no recipe for {name} on {trained}{likewise}; choose one of: {listed}{suggestion(name, names)}"
+        )
     recipe = Recipe(name=f"{name}_{trained}", **tomllib.loads(file.read_text("utf-8")))
     return recipe if trained == task else replace(recipe, task={})
