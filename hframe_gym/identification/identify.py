@@ -73,9 +73,10 @@ def identify(
     criteria, log = criteria or SelectionCriteria(), log or (lambda line: None)
     recordings = sorted(recordings, key=lambda recording: recording.name)  # no other order changes the result
 
+    budget = _budget(budget, recordings, machine, log)
+
     # Prepare: which runs are fitted, and what of them can be used.
     held_names = divide_runs(recordings, held_out)
-    budget = _budget(budget, recordings, machine, log)
     session = prepare_session(recordings, machine, criteria, log)
 
     # Refit, then propose effects, fit them, gather evidence and judge it, until none passes: in the fitted runs.

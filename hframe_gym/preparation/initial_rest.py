@@ -1,9 +1,8 @@
-"""Find the rest at the beginning of a run, or the velocity of a run that begins in motion.
+"""Find the rest at the beginning of a run.
 
 At rest are rows in which no voltage is applied and no sensor shows motion. The inputs alone do not show rest: a machine
 may still swing when a log begins, and a voltage that is logged late, or not at all, is 0 while the machine moves. If
-such motion were taken as rest, it would be counted as noise of the sensors and shift their zeros. A run that was cut
-out of a longer log begins in motion: its first measurements show the velocity.
+such motion were taken as rest, it would be counted as noise of the sensors and shift their zeros.
 """
 
 from __future__ import annotations
@@ -14,10 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..dynamics import simulate_batch
 from ..machine import Machine, Sensor
 from ..recordings import Recording, peak_to_peak
-from .belt_stretch import vibration_speeds
 from .sensor_properties import difference_noise, sensor_quantum
 
 Array = NDArray[np.float64]
@@ -33,43 +30,6 @@ _RANGE_TOLERANCE = (
 )
 _SPAN_TOLERANCE = 1e-4  # fraction of the sensor's span in the run, whatever its noise
 _SLOW_NOISE_SPAN = 1e-3  # fraction of the span that slow noise of a filtered sensor may reach; more is motion
-# Durations, s, of the first measurements to which parabolas are fitted: short ones for fast changes, long ones for much
-# noise. Their smallest number of rows is more than twice that of a parabola's coefficients.
-_FITTED_S, _MIN_FITTED_ROWS = (0.005, 0.01, 0.02, 0.04), 8
-_COMPARED_S = (
-    0.05  # s from the first row, in which the simulations from rest and with each velocity are compared
-)
-_SIGNIFICANT_SPEED = 5.0  # In standard deviations; noise hardly ever reaches it.
-# Of two velocities, one is certainly better if its sum of squared errors is less than this fraction of the other's. The
-# sum contains model errors, which do not average out, so no test for independent errors applies.
-_CERTAIN_COST_RATIO = 0.5
-_MIN_ERROR = 0.2  # Fraction of the speed; vibrating belts and curved motion falsify the slope of a parabola.
-
-
-class InitialVelocity(NamedTuple):
-    """The velocity with which a run begins.
-
-    Attributes:
-        mean: Velocities of the coordinates, m/s or rad/s, shape (coordinates,); zero for a run that begins at rest.
-        deviations: Matrix D of independent errors of the velocities, one per row, shape (errors, coordinates); D^T D is
-            the covariance of the velocities. No rows if the run begins at rest or no velocity is significant.
-    """
-
-    mean: Array
-    deviations: Array
-
-    @classmethod
-    def at_rest(cls, machine: Machine) -> InitialVelocity:
-        """Return the initial velocity of a run that begins at rest: zero, and certain.
-
-        Args:
-            machine: Machine with the coordinates.
-
-        Returns:
-            Velocities, all zero, shape (coordinates,), and no errors of them, shape (0, coordinates).
-        """
-        count = len(machine.coordinates)
-        return cls(np.zeros(count), np.zeros((0, count)))
 
 
 class InitialRest(NamedTuple):
@@ -261,125 +221,3 @@ def _lead(time_s: Array, outputs: Array, resting_rows: int, tolerance: Array) ->
     middle = np.array([np.nanmedian(c) if np.isfinite(c).any() else np.nan for c in outputs[:resting_rows].T])
     departed = (np.abs(outputs - middle) > tolerance / 2).any(axis=1)
     return float(time_s[-1] - time_s[np.flatnonzero(~departed)[-1]])
-
-
-def initial_velocity(
-    recording: Recording, machine: Machine, rigid: Array, position: Array
-) -> InitialVelocity:
-    """Estimate the velocity of a run whose first row is not at rest, from its first measurements.
-
-    Parabolas are fitted to each sensor's measurements in the first 5, 10, 20 and 40 ms (at least eight rows, half of
-    them measured). For each duration, weighted least squares convert the slopes of the parabolas at the first row to
-    velocities of the rigid motions (those that stretch no belt). Zero velocity is a candidate as well, because a run
-    that is driven from its first row on has such slopes even if it begins at rest. The machine is simulated over 50 ms
-    with each candidate. The one with the smallest sum of squared errors is chosen; others with at most twice this sum
-    remain possible.
-
-    Args:
-        recording: The run (times, s; voltages, V; measurements, m or rad, NaN where not measured).
-        machine: Machine with the sensors.
-        rigid: Rigid motions, one per column: displacements of the coordinates, m or rad, shape (coordinates, motions).
-        position: Position at the first row, m or rad, shape (coordinates,). Forces may depend on it (cogging, cables).
-
-    Returns:
-        mean: Velocities of the coordinates, m/s or rad/s, shape (coordinates,).
-        deviations: D, shape (errors, coordinates); the covariance D^T D is that of the slopes (noise, vibration of the
-            belts) plus the square of 20 % of the speed, or of the difference to the farthest candidate that is possible
-            if this is larger. Zeros and no errors if only rest is possible, or no velocity is significant.
-    """
-    at_rest = InitialVelocity.at_rest(machine)
-    if len(recording.time_s) <= _MIN_FITTED_ROWS:
-        return at_rest
-    noise = np.array(
-        [measurement_noise(y, y, s) for y, s in zip(recording.outputs.T, machine.sensors, strict=True)]
-    )
-    speeds = vibration_speeds(machine)
-    vibration = np.array([speeds.get(s.coordinate, 0.0) for s in machine.sensors])
-    of_velocity = np.array([s.of_velocity for s in machine.sensors])
-    rows = [
-        machine.coefficients(s.row) if s.of_position or s.of_velocity else 0.0 * rigid[:, 0]
-        for s in machine.sensors
-    ]
-    sensor_of_motion = np.array(rows) @ rigid
-    counts = sorted({_rows_within(recording, seconds) for seconds in _FITTED_S})
-    fits = [
-        _fit_velocity(recording, rows, sensor_of_motion, noise, vibration, of_velocity) for rows in counts
-    ]
-    significant = [fit for fit in fits if fit is not None]
-    if not significant:
-        return at_rest
-    # Velocities of the rigid motions: at rest, and as fitted.
-    velocities = np.array([np.zeros(rigid.shape[1]), *(fitted for fitted, _ in significant)])
-    states = np.hstack([np.tile(position, (len(velocities), 1)), velocities @ rigid.T])
-    costs = _costs_of_starts(states, recording, machine, noise)
-    best = int(np.argmin(costs))
-    possible = costs <= costs[best] / _CERTAIN_COST_RATIO  # all others are excluded
-    if best == 0 and not possible[1:].any():
-        return at_rest
-    travel = np.linalg.norm(
-        machine.travel_per_unit[:, None] * rigid, axis=0
-    )  # m per unit of each rigid motion
-    distance = np.linalg.norm((velocities[possible] - velocities[best]) * travel, axis=1).max()
-    error = max(_MIN_ERROR * float(np.linalg.norm(velocities[best] * travel)), float(distance))  # m/s
-    covariance = significant[max(best - 1, 0)][1] + np.diag((error / travel) ** 2)
-    return InitialVelocity(rigid @ velocities[best], (rigid @ np.linalg.cholesky(covariance)).T)
-
-
-def _rows_within(recording: Recording, seconds: float) -> int:
-    """Return the number of rows within a duration from the first, at least `_MIN_FITTED_ROWS`."""
-    return max(int(np.searchsorted(recording.time_s - recording.time_s[0], seconds)), _MIN_FITTED_ROWS)
-
-
-def _fit_velocity(
-    recording: Recording,
-    rows: int,
-    sensor_of_motion: Array,
-    noise: Array,
-    vibration: Array,
-    of_velocity: NDArray[np.bool_],
-) -> tuple[Array, Array] | None:
-    """Return the velocities of the rigid motions at the first row and their covariance, from parabolas.
-
-    Args:
-        recording: The run.
-        rows: Number of the first rows, to which the parabolas are fitted.
-        sensor_of_motion: Measurement per unit of each rigid motion, shape (sensors, motions).
-        noise: Standard deviation of each sensor, shape (sensors,).
-        vibration: Speed of the vibration that each sensor measures in addition to the rigid motions, shape (sensors,).
-        of_velocity: True for sensors of velocities, whose parabolas give the velocity by their value, shape (sensors,).
-
-    Returns:
-        Velocities (motions,) and covariance (motions, motions); None if they are not significant or not measured.
-    """
-    time_s = recording.time_s - recording.time_s[0]
-    slopes, deviations = np.zeros(len(noise)), np.full(len(noise), np.inf)
-    for j, values in enumerate(recording.outputs[:rows].T):
-        measured = np.flatnonzero(np.isfinite(values))
-        if len(measured) >= _MIN_FITTED_ROWS // 2:
-            parabola = np.linalg.pinv(np.vander(time_s[measured], 3, increasing=True))
-            slope = parabola[0 if of_velocity[j] else 1]
-            slopes[j] = slope @ values[measured]
-            deviations[j] = np.hypot(noise[j] * np.linalg.norm(slope), vibration[j])
-    weighted = sensor_of_motion / deviations[:, None]
-    if np.linalg.matrix_rank(weighted) < weighted.shape[1]:
-        return None
-    inverse = np.linalg.pinv(weighted)
-    velocities, covariance = inverse @ (slopes / deviations), inverse @ inverse.T
-    significant = velocities @ np.linalg.solve(covariance, velocities) > _SIGNIFICANT_SPEED**2
-    return (velocities, covariance) if significant else None
-
-
-def _costs_of_starts(states: Array, recording: Recording, machine: Machine, noise: Array) -> Array:
-    """Return the sum of squared errors, in units of the noise, of simulations from the given states (starts,).
-
-    Constant errors do not count, because the zeros of encoders are not known yet.
-    """
-    rows = _rows_within(recording, _COMPARED_S)
-    time_s = recording.time_s[:rows] - recording.time_s[0]
-    readings = simulate_batch(machine, time_s, recording.inputs[:rows], start=states, states=False).readings
-    measured = np.isfinite(recording.outputs[:rows])
-    error = np.where(measured, recording.outputs[:rows] - readings, 0.0) / noise
-    constant = measured & machine.position_sensors
-    error -= np.where(constant, error.sum(axis=1, keepdims=True) / np.maximum(measured.sum(axis=0), 1), 0.0)
-    cost = np.sum(error**2, axis=(1, 2))
-    return np.where(np.isfinite(cost), cost, np.inf)

@@ -1,9 +1,9 @@
 """Estimate from the first measurements the initial position of a run and the zero of every sensor.
 
-A recording should begin at rest; the rows before the first input change measure the position there. If it begins in
-motion, its first row has a position and a velocity (`initial_rest`). The zero of a sensor is its measurement at
-position 0. Sensors with a fixed zero (called lasers here) determine the position of the tool. The angles of the pulleys
-follow from unstretched belts or from encoders whose zero is known.
+A recording should begin at rest; the rows before the first input change measure the position there. A run that was cut
+out of a longer log begins in motion: its first measurements show the velocity of its first row. The zero of a sensor is
+its measurement at position 0. Sensors with a fixed zero (called lasers here) determine the position of the tool. The
+angles of the pulleys follow from unstretched belts or from encoders whose zero is known.
 """
 
 from __future__ import annotations
@@ -11,23 +11,60 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..dynamics import simulate_batch
 from ..dynamics.physics.effect_instances import instances_with_state
-from ..machine import SENSOR_KINDS, Machine, Sensor
+from ..machine import Machine, Sensor
 from ..recordings import Recording
-from .belt_stretch import rigid_basis, stretch_angles
-from .encoder_zeros import EncoderZeros, zero_tolerance
-from .initial_rest import InitialVelocity, count_resting_rows, initial_velocity
+from .belt_stretch import rigid_basis, vibration_speeds
+from .encoder_zeros import EncoderZeros
+from .initial_rest import count_resting_rows, measurement_noise
 
 Array = NDArray[np.float64]
 # Weights of encoders that matter only where no laser measures: behind stretched belts, and with an unknown zero.
 _STRETCHED_WEIGHT, _FALLBACK_WEIGHT = 1e-3, 1e-6
-_FIRST_ROWS = 5  # rows from which the zero of a noisy sensor is estimated if only one row is at rest
-_MOVING_STRETCH = 4.0  # times the typical stretch of the belts at the start of a run that begins in motion
 _STRETCH_RESIDUAL = 1.0 / 3.0  # of the belts' stretch under the drives' force, which a linear model leaves
+# Durations, s, of the first measurements to which parabolas are fitted: short ones for fast changes, long ones for much
+# noise. Their smallest number of rows is more than twice that of a parabola's coefficients.
+_FITTED_S, _MIN_FITTED_ROWS = (0.005, 0.01, 0.02, 0.04), 8
+_COMPARED_S = (
+    0.05  # s from the first row, in which the simulations from rest and with each velocity are compared
+)
+_SIGNIFICANT_SPEED = 5.0  # In standard deviations; noise hardly ever reaches it.
+# Of two velocities, one is certainly better if its sum of squared errors is less than this fraction of the other's. The
+# sum contains model errors, which do not average out, so no test for independent errors applies.
+_CERTAIN_COST_RATIO = 0.5
+_MIN_ERROR = 0.2  # Fraction of the speed; vibrating belts and curved motion falsify the slope of a parabola.
+
+
+class InitialVelocity(NamedTuple):
+    """The velocity with which a run begins.
+
+    Attributes:
+        mean: Velocities of the coordinates, m/s or rad/s, shape (coordinates,); zero for a run that begins at rest.
+        deviations: Matrix D of independent errors of the velocities, one per row, shape (errors, coordinates); D^T D is
+            the covariance of the velocities. No rows if the run begins at rest or no velocity is significant.
+    """
+
+    mean: Array
+    deviations: Array
+
+    @classmethod
+    def at_rest(cls, machine: Machine) -> InitialVelocity:
+        """Return the initial velocity of a run that begins at rest: zero, and certain.
+
+        Args:
+            machine: Machine with the coordinates.
+
+        Returns:
+            Velocities, all zero, shape (coordinates,), and no errors of them, shape (0, coordinates).
+        """
+        count = len(machine.coordinates)
+        return cls(np.zeros(count), np.zeros((0, count)))
 
 
 @dataclass(frozen=True)
@@ -291,128 +328,123 @@ def _position_warning(machine: Machine, silent: NDArray[np.bool_], replaced: NDA
     )
 
 
-def sensor_zero_error(
-    error: Array, weights: Array, resting_rows: int, max_mean: Array, quanta: Array
-) -> Array:
-    """Estimate the errors of the sensors' zeros (measurements at position 0) from prediction errors over a run.
+def initial_velocity(
+    recording: Recording, machine: Machine, rigid: Array, position: Array
+) -> InitialVelocity:
+    """Estimate the velocity of a run whose first row is not at rest, from its first measurements.
 
-    The estimate is the mean error over the complete run, limited to the range +-`max_mean` around the mean error over
-    the later half of the rows at rest. The limit is needed because a constant force may also cause a mean error. For a
-    sensor without quantization, the first five rows of the run replace a single row at rest, which has the noise of one
-    measurement.
-
-    Args:
-        error: Measured minus predicted values over n samples, m or rad, 0 if not measured, shape (batch, n, sensors).
-        weights: Weights of the measurements in the means, dimensionless, 0 where not measured, shape (n, sensors).
-        resting_rows: Number of rows at rest at the beginning of the run, at least 1.
-        max_mean: Largest difference between estimate and mean error at rest, m or rad, shape (sensors,); infinite for
-            no limit.
-        quanta: Quantization steps of the sensors, m or rad, 0 where there is none, shape (sensors,).
-
-    Returns:
-        Errors of the zeros, m or rad, shape (batch, 1, sensors), to be subtracted from `error`.
-    """
-
-    def mean(rows: slice) -> Array:  # (batch, sensors)
-        sums = np.einsum(
-            "bns,ns->bs", error[:, rows], weights[rows]
-        )  # a quarter of the time of a product and a sum
-        return np.asarray(sums / np.maximum(weights[rows].sum(axis=0), 1e-12))
-
-    at_rest, of_run = mean(settled_rows(resting_rows)), mean(slice(None))
-    if resting_rows == 1:
-        at_rest = np.where(quanta > 0.0, at_rest, mean(slice(_FIRST_ROWS)))
-    return np.asarray((at_rest + np.clip(of_run - at_rest, -max_mean, max_mean))[:, None, :])
-
-
-def max_zero_means(behind: NDArray[np.bool_], quanta: Array) -> Array:
-    """Return how far the zero of each sensor may differ from its estimate by the rows at rest.
-
-    The zero is the measurement at position 0. The rows at rest determine it only to within the quantization; for an
-    encoder behind belts not at all, because friction holds an unknown stretch of the belts at rest. Up to these limits,
-    `sensor_zero_error` counts the mean prediction error over a run as an error of the zero.
+    Parabolas are fitted to each sensor's measurements in the first 5, 10, 20 and 40 ms (at least eight rows, half of
+    them measured). For each duration, weighted least squares convert the slopes of the parabolas at the first row to
+    velocities of the rigid motions (those that stretch no belt). Zero velocity is a candidate as well, because a run
+    that is driven from its first row on has such slopes even if it begins at rest. The machine is simulated over 50 ms
+    with each candidate. The one with the smallest sum of squared errors is chosen; others with at most twice this sum
+    remain possible.
 
     Args:
-        behind: True for encoders on pulleys, which elastic belts separate from the tool, shape (sensors,).
-        quanta: Quantization steps of the sensors, m or rad, 0 where there is none, shape (sensors,).
-
-    Returns:
-        Limits, m or rad, shape (sensors,): infinite behind belts, otherwise half a quantization step.
-    """
-    return np.where(behind, np.inf, quanta / 2)
-
-
-def max_reported_zero_means(machine: Machine, initial: InitialState, quanta: Array) -> Array:
-    """Return how far, in a reported error, the zero of each sensor may differ from its estimate by the rows at rest.
-
-    A search compares machines without a limit for encoders behind belts, see `max_zero_means`. In a reported error,
-    the zero accounts only for what the stretch of the belts at the start can cause. The rest of a mean error over the
-    run is an error of the model.
-
-    Args:
-        machine: Machine whose error is reported.
-        initial: Initial state of the run.
-        quanta: Quantization steps of the sensors, m or rad, 0 where there is none, shape (sensors,).
-
-    Returns:
-        Limits, m or rad, shape (sensors,): half a quantization step; behind belts, what `zero_tolerance` permits, and
-        for a run that begins in motion four times the stretch that the drives typically cause.
-    """
-    behind = behind_belts(machine)
-    limits = max_zero_means(free_zeros(machine) & ~behind, quanta)
-    if not behind.any():
-        return limits
-    stretched = zero_tolerance(machine, EncoderZeros.of_machine(machine), quanta)
-    if initial.velocity.any():
-        angles = stretch_angles(machine, moving=True)
-        stretched = stretched + _MOVING_STRETCH * np.array(
-            [angles.get(s.coordinate, 0.0) for s in machine.sensors]
-        )
-    return np.where(behind, stretched, limits)
-
-
-def max_fitted_zero_means(behind: NDArray[np.bool_], quanta: Array, at_rest: NDArray[np.bool_]) -> Array:
-    """Return how far, in a fit, the zero of each sensor may differ from its estimate by the rows at rest.
-
-    The zero is the measurement at position 0. The limits differ from those of `max_zero_means` for a sensor without
-    quantization. It gives the initial position, and the noise of its few measurements at rest makes this position wrong
-    by a constant over the complete run. The mean error over the run is the best estimate of this constant. If it
-    remained in the residual, parameters would adapt to it.
-
-    Args:
-        behind: True for encoders on pulleys, which elastic belts separate from the tool, shape (sensors,).
-        quanta: Quantization steps of the sensors, m or rad, 0 where there is none, shape (sensors,).
-        at_rest: True for sensors that measured at rest, shape (sensors,). The limits of all other sensors are those of
-            `max_zero_means`, because later measurements of these sensors determine the initial position.
-
-    Returns:
-        Limits, m or rad, shape (sensors,): infinite behind belts and for sensors without quantization that
-        measured at rest, otherwise half a quantization step.
-    """
-    return np.where((quanta == 0.0) & at_rest, np.inf, max_zero_means(behind, quanta))
-
-
-def behind_belts(machine: Machine) -> NDArray[np.bool_]:
-    """Return which sensors are encoders on pulleys, which elastic belts separate from the tool.
-
-    Args:
+        recording: The run (times, s; voltages, V; measurements, m or rad, NaN where not measured).
         machine: Machine with the sensors.
+        rigid: Rigid motions, one per column: displacements of the coordinates, m or rad, shape (coordinates, motions).
+        position: Position at the first row, m or rad, shape (coordinates,). Forces may depend on it (cogging, cables).
 
     Returns:
-        True for such an encoder, shape (sensors,).
+        mean: Velocities of the coordinates, m/s or rad/s, shape (coordinates,).
+        deviations: D, shape (errors, coordinates); the covariance D^T D is that of the slopes (noise, vibration of the
+            belts) plus the square of 20 % of the speed, or of the difference to the farthest candidate that is possible
+            if this is larger. Zeros and no errors if only rest is possible, or no velocity is significant.
     """
-    pulleys = [s.incremental and machine.coordinate(s.coordinate).kind == "rotary" for s in machine.sensors]
-    return np.array(pulleys) & bool(machine.belts)
+    at_rest = InitialVelocity.at_rest(machine)
+    if len(recording.time_s) <= _MIN_FITTED_ROWS:
+        return at_rest
+    noise = np.array(
+        [measurement_noise(y, y, s) for y, s in zip(recording.outputs.T, machine.sensors, strict=True)]
+    )
+    speeds = vibration_speeds(machine)
+    vibration = np.array([speeds.get(s.coordinate, 0.0) for s in machine.sensors])
+    of_velocity = np.array([s.of_velocity for s in machine.sensors])
+    rows = [
+        machine.coefficients(s.row) if s.of_position or s.of_velocity else 0.0 * rigid[:, 0]
+        for s in machine.sensors
+    ]
+    sensor_of_motion = np.array(rows) @ rigid
+    counts = sorted({_rows_within(recording, seconds) for seconds in _FITTED_S})
+    fits = [
+        _fit_velocity(recording, rows, sensor_of_motion, noise, vibration, of_velocity) for rows in counts
+    ]
+    significant = [fit for fit in fits if fit is not None]
+    if not significant:
+        return at_rest
+    # Velocities of the rigid motions: at rest, and as fitted.
+    velocities = np.array([np.zeros(rigid.shape[1]), *(fitted for fitted, _ in significant)])
+    states = np.hstack([np.tile(position, (len(velocities), 1)), velocities @ rigid.T])
+    costs = _costs_of_starts(states, recording, machine, noise)
+    best = int(np.argmin(costs))
+    possible = costs <= costs[best] / _CERTAIN_COST_RATIO  # all others are excluded
+    if best == 0 and not possible[1:].any():
+        return at_rest
+    travel = np.linalg.norm(
+        machine.travel_per_unit[:, None] * rigid, axis=0
+    )  # m per unit of each rigid motion
+    distance = np.linalg.norm((velocities[possible] - velocities[best]) * travel, axis=1).max()
+    error = max(_MIN_ERROR * float(np.linalg.norm(velocities[best] * travel)), float(distance))  # m/s
+    covariance = significant[max(best - 1, 0)][1] + np.diag((error / travel) ** 2)
+    return InitialVelocity(rigid @ velocities[best], (rigid @ np.linalg.cholesky(covariance)).T)
 
 
-def free_zeros(machine: Machine) -> NDArray[np.bool_]:
-    """Return which sensors have a zero that the rows at rest do not determine, shape (sensors,).
+def _rows_within(recording: Recording, seconds: float) -> int:
+    """Return the number of rows within a duration from the first, at least `_MIN_FITTED_ROWS`."""
+    return max(int(np.searchsorted(recording.time_s - recording.time_s[0], seconds)), _MIN_FITTED_ROWS)
 
-    They are encoders on pulleys behind belts, and sensors with an offset, such as accelerometers.
+
+def _fit_velocity(
+    recording: Recording,
+    rows: int,
+    sensor_of_motion: Array,
+    noise: Array,
+    vibration: Array,
+    of_velocity: NDArray[np.bool_],
+) -> tuple[Array, Array] | None:
+    """Return the velocities of the rigid motions at the first row and their covariance, from parabolas.
+
+    Args:
+        recording: The run.
+        rows: Number of the first rows, to which the parabolas are fitted.
+        sensor_of_motion: Measurement per unit of each rigid motion, shape (sensors, motions).
+        noise: Standard deviation of each sensor, shape (sensors,).
+        vibration: Speed of the vibration that each sensor measures in addition to the rigid motions, shape (sensors,).
+        of_velocity: True for sensors of velocities, whose parabolas give the velocity by their value, shape (sensors,).
+
+    Returns:
+        Velocities (motions,) and covariance (motions, motions); None if they are not significant or not measured.
     """
-    return behind_belts(machine) | np.array([SENSOR_KINDS.get(s.kind).has_offset for s in machine.sensors])
+    time_s = recording.time_s - recording.time_s[0]
+    slopes, deviations = np.zeros(len(noise)), np.full(len(noise), np.inf)
+    for j, values in enumerate(recording.outputs[:rows].T):
+        measured = np.flatnonzero(np.isfinite(values))
+        if len(measured) >= _MIN_FITTED_ROWS // 2:
+            parabola = np.linalg.pinv(np.vander(time_s[measured], 3, increasing=True))
+            slope = parabola[0 if of_velocity[j] else 1]
+            slopes[j] = slope @ values[measured]
+            deviations[j] = np.hypot(noise[j] * np.linalg.norm(slope), vibration[j])
+    weighted = sensor_of_motion / deviations[:, None]
+    if np.linalg.matrix_rank(weighted) < weighted.shape[1]:
+        return None
+    inverse = np.linalg.pinv(weighted)
+    velocities, covariance = inverse @ (slopes / deviations), inverse @ inverse.T
+    significant = velocities @ np.linalg.solve(covariance, velocities) > _SIGNIFICANT_SPEED**2
+    return (velocities, covariance) if significant else None
 
 
-def has_zero(machine: Machine) -> NDArray[np.bool_]:
-    """Return which sensors have a zero to estimate: those of positions, and those with an offset, shape (sensors,)."""
-    return machine.position_sensors | free_zeros(machine)
+def _costs_of_starts(states: Array, recording: Recording, machine: Machine, noise: Array) -> Array:
+    """Return the sum of squared errors, in units of the noise, of simulations from the given states (starts,).
+
+    Constant errors do not count, because the zeros of encoders are not known yet.
+    """
+    rows = _rows_within(recording, _COMPARED_S)
+    time_s = recording.time_s[:rows] - recording.time_s[0]
+    readings = simulate_batch(machine, time_s, recording.inputs[:rows], start=states, states=False).readings
+    measured = np.isfinite(recording.outputs[:rows])
+    error = np.where(measured, recording.outputs[:rows] - readings, 0.0) / noise
+    constant = measured & machine.position_sensors
+    error -= np.where(constant, error.sum(axis=1, keepdims=True) / np.maximum(measured.sum(axis=0), 1), 0.0)
+    cost = np.sum(error**2, axis=(1, 2))
+    return np.where(np.isfinite(cost), cost, np.inf)

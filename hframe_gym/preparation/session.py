@@ -15,7 +15,7 @@ from ..recordings import Recording, fill_gaps
 from .criteria import SaturationCriteria
 from .dataset import Dataset, PreparedRecording
 from .initial_state import measured_initial_state
-from .rest_measurement import estimate_initial_state, free_zeros, has_zero
+from .rest_measurement import estimate_initial_state
 from .sensor_properties import (
     Range,
     clock_jitter,
@@ -24,6 +24,7 @@ from .sensor_properties import (
     sensor_noise,
     sensor_quantum,
 )
+from .sensor_zeros import free_zeros, has_zero
 from .session_zeros import common_encoder_zeros
 from .usable import usable_run, without_saturated, without_unknown_voltage
 

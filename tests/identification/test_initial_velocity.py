@@ -12,8 +12,7 @@ from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import simulate_recording
 from hframe_gym.machine import Machine
 from hframe_gym.preparation.belt_stretch import rigid_basis, stretch_angles
-from hframe_gym.preparation.initial_rest import InitialVelocity, initial_velocity
-from hframe_gym.preparation.rest_measurement import estimate_initial_state
+from hframe_gym.preparation.rest_measurement import InitialVelocity, estimate_initial_state, initial_velocity
 from hframe_gym.recordings import Recording, load_machine
 
 pytestmark = pytest.mark.unit

@@ -24,7 +24,7 @@ from ...dynamics import resolved_step, simulate_batch
 from ...dynamics.simulation import Motion, threads
 from ...machine import Machine
 from ...preparation.dataset import Dataset, PreparedRecording
-from ...preparation.rest_measurement import max_fitted_zero_means, max_zero_means, sensor_zero_error
+from ...preparation.sensor_zeros import max_fitted_zero_means, max_zero_means, sensor_zero_error
 from ...preparation.voltage_updates import at_updates, update_times, updated_inputs
 
 Array = NDArray[np.float64]

@@ -16,8 +16,8 @@ from ...dynamics import simulate, simulate_batch
 from ...machine import Machine, Trajectory
 from ...preparation.encoder_zeros import EncoderZeros
 from ...preparation.initial_state import measured_initial_state, model_initial_states
-from ...preparation.rest_measurement import (
-    InitialState,
+from ...preparation.rest_measurement import InitialState
+from ...preparation.sensor_zeros import (
     free_zeros,
     has_zero,
     max_reported_zero_means,

@@ -1,0 +1,142 @@
+"""Zeros of the sensors that a comparison of measured and simulated values may adapt, and by how much."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import Array
+from ..machine import SENSOR_KINDS, Machine
+from .belt_stretch import stretch_angles
+from .encoder_zeros import EncoderZeros, zero_tolerance
+from .rest_measurement import InitialState, settled_rows
+
+_FIRST_ROWS = 5  # rows from which the zero of a noisy sensor is estimated if only one row is at rest
+_MOVING_STRETCH = 4.0  # times the typical stretch of the belts at the start of a run that begins in motion
+
+
+def sensor_zero_error(
+    error: Array, weights: Array, resting_rows: int, max_mean: Array, quanta: Array
+) -> Array:
+    """Estimate the errors of the sensors' zeros (measurements at position 0) from prediction errors over a run.
+
+    The estimate is the mean error over the complete run, limited to the range +-`max_mean` around the mean error over
+    the later half of the rows at rest. The limit is needed because a constant force may also cause a mean error. For a
+    sensor without quantization, the first five rows of the run replace a single row at rest, which has the noise of one
+    measurement.
+
+    Args:
+        error: Measured minus predicted values over n samples, m or rad, 0 if not measured, shape (batch, n, sensors).
+        weights: Weights of the measurements in the means, dimensionless, 0 where not measured, shape (n, sensors).
+        resting_rows: Number of rows at rest at the beginning of the run, at least 1.
+        max_mean: Largest difference between estimate and mean error at rest, m or rad, shape (sensors,); infinite for
+            no limit.
+        quanta: Quantization steps of the sensors, m or rad, 0 where there is none, shape (sensors,).
+
+    Returns:
+        Errors of the zeros, m or rad, shape (batch, 1, sensors), to be subtracted from `error`.
+    """
+
+    def mean(rows: slice) -> Array:  # (batch, sensors)
+        sums = np.einsum(
+            "bns,ns->bs", error[:, rows], weights[rows]
+        )  # a quarter of the time of a product and a sum
+        return np.asarray(sums / np.maximum(weights[rows].sum(axis=0), 1e-12))
+
+    at_rest, of_run = mean(settled_rows(resting_rows)), mean(slice(None))
+    if resting_rows == 1:
+        at_rest = np.where(quanta > 0.0, at_rest, mean(slice(_FIRST_ROWS)))
+    return np.asarray((at_rest + np.clip(of_run - at_rest, -max_mean, max_mean))[:, None, :])
+
+
+def max_zero_means(behind: NDArray[np.bool_], quanta: Array) -> Array:
+    """Return how far the zero of each sensor may differ from its estimate by the rows at rest.
+
+    The zero is the measurement at position 0. The rows at rest determine it only to within the quantization; for an
+    encoder behind belts not at all, because friction holds an unknown stretch of the belts at rest. Up to these limits,
+    `sensor_zero_error` counts the mean prediction error over a run as an error of the zero.
+
+    Args:
+        behind: True for encoders on pulleys, which elastic belts separate from the tool, shape (sensors,).
+        quanta: Quantization steps of the sensors, m or rad, 0 where there is none, shape (sensors,).
+
+    Returns:
+        Limits, m or rad, shape (sensors,): infinite behind belts, otherwise half a quantization step.
+    """
+    return np.where(behind, np.inf, quanta / 2)
+
+
+def max_reported_zero_means(machine: Machine, initial: InitialState, quanta: Array) -> Array:
+    """Return how far, in a reported error, the zero of each sensor may differ from its estimate by the rows at rest.
+
+    A search compares machines without a limit for encoders behind belts, see `max_zero_means`. In a reported error,
+    the zero accounts only for what the stretch of the belts at the start can cause. The rest of a mean error over the
+    run is an error of the model.
+
+    Args:
+        machine: Machine whose error is reported.
+        initial: Initial state of the run.
+        quanta: Quantization steps of the sensors, m or rad, 0 where there is none, shape (sensors,).
+
+    Returns:
+        Limits, m or rad, shape (sensors,): half a quantization step; behind belts, what `zero_tolerance` permits, and
+        for a run that begins in motion four times the stretch that the drives typically cause.
+    """
+    behind = behind_belts(machine)
+    limits = max_zero_means(free_zeros(machine) & ~behind, quanta)
+    if not behind.any():
+        return limits
+    stretched = zero_tolerance(machine, EncoderZeros.of_machine(machine), quanta)
+    if initial.velocity.any():
+        angles = stretch_angles(machine, moving=True)
+        stretched = stretched + _MOVING_STRETCH * np.array(
+            [angles.get(s.coordinate, 0.0) for s in machine.sensors]
+        )
+    return np.where(behind, stretched, limits)
+
+
+def max_fitted_zero_means(behind: NDArray[np.bool_], quanta: Array, at_rest: NDArray[np.bool_]) -> Array:
+    """Return how far, in a fit, the zero of each sensor may differ from its estimate by the rows at rest.
+
+    The zero is the measurement at position 0. The limits differ from those of `max_zero_means` for a sensor without
+    quantization. It gives the initial position, and the noise of its few measurements at rest makes this position wrong
+    by a constant over the complete run. The mean error over the run is the best estimate of this constant. If it
+    remained in the residual, parameters would adapt to it.
+
+    Args:
+        behind: True for encoders on pulleys, which elastic belts separate from the tool, shape (sensors,).
+        quanta: Quantization steps of the sensors, m or rad, 0 where there is none, shape (sensors,).
+        at_rest: True for sensors that measured at rest, shape (sensors,). The limits of all other sensors are those of
+            `max_zero_means`, because later measurements of these sensors determine the initial position.
+
+    Returns:
+        Limits, m or rad, shape (sensors,): infinite behind belts and for sensors without quantization that
+        measured at rest, otherwise half a quantization step.
+    """
+    return np.where((quanta == 0.0) & at_rest, np.inf, max_zero_means(behind, quanta))
+
+
+def behind_belts(machine: Machine) -> NDArray[np.bool_]:
+    """Return which sensors are encoders on pulleys, which elastic belts separate from the tool.
+
+    Args:
+        machine: Machine with the sensors.
+
+    Returns:
+        True for such an encoder, shape (sensors,).
+    """
+    pulleys = [s.incremental and machine.coordinate(s.coordinate).kind == "rotary" for s in machine.sensors]
+    return np.array(pulleys) & bool(machine.belts)
+
+
+def free_zeros(machine: Machine) -> NDArray[np.bool_]:
+    """Return which sensors have a zero that the rows at rest do not determine, shape (sensors,).
+
+    They are encoders on pulleys behind belts, and sensors with an offset, such as accelerometers.
+    """
+    return behind_belts(machine) | np.array([SENSOR_KINDS.get(s.kind).has_offset for s in machine.sensors])
+
+
+def has_zero(machine: Machine) -> NDArray[np.bool_]:
+    """Return which sensors have a zero to estimate: those of positions, and those with an offset, shape (sensors,)."""
+    return machine.position_sensors | free_zeros(machine)
