@@ -15,6 +15,7 @@ from ..budget import Budget, BudgetEndedError
 from ..evidence.tried_effects import Log
 from ..fit.estimation import Fit, prediction_cost
 from ..fit.plain_fit import PlainFit, equally_weighted, refined_equally
+from ..fit.voltage_updates import VoltagesChangeError
 from ..judge.criteria import SelectionCriteria
 from ..judge.verdict import description_helps, is_worse_than_plain, needs_description
 from ..predict.prediction import SIMULATION
@@ -192,7 +193,7 @@ def describe_remainder(
     try:
         with part.limiting():
             fitted, selected = search.run(at_start)
-    except BudgetEndedError:
+    except (BudgetEndedError, VoltagesChangeError):  # what was found until then stands
         if not search.reached:
             return None
         fitted, selected = search.reached
