@@ -126,6 +126,26 @@ def test_what_is_left_is_described_in_simulation_without_naming_a_cause() -> Non
     assert describe_remainder(plain.simulated, data, SelectionCriteria(), print, Budget(0.0)) is None
 
 
+def test_a_description_ends_where_the_voltages_change_between_rows() -> None:
+    """The controller is four times as fast as the log, and a spring is missing; no search begins again here."""
+    true = axis(TRUE).with_effects(EFFECTS["cable_spring"].at("x", k=20.0, q0=0.0))
+    time_s = np.arange(2400) * 0.25e-3
+    recordings = []
+    for k in range(2):
+        inputs = np.where(
+            time_s > 0.05, 3.0 * np.sin((26 + k) * time_s) + 2.0 * np.sin(231 * time_s + k), 0.0
+        )
+        outputs = true.simulate(time_s, inputs[:, None]).outputs[::4]
+        outputs = outputs + np.random.default_rng(k).normal(0.0, 2e-5, outputs.shape)
+        recordings.append(Recording(f"run_{k}", time_s[::4], inputs[::4, None], outputs))
+    data = prepare(recordings, axis(TRUE))
+    plain = plain_fit(axis(TRUE), data)
+    assert plain is not None
+    lines: list[str] = []
+    assert describe_remainder(plain.simulated, data, SelectionCriteria(), lines.append, Budget()) is None
+    assert any("reduces chi-squared" in line for line in lines)  # an effect passed before
+
+
 def test_long_runs_are_simulated_in_part() -> None:
     true = axis(TRUE)
     long, short = measure(true, runs=1, seconds=200.0)[0], measure(true, runs=1, seconds=4.0)[0]
