@@ -23,7 +23,7 @@ from typing import Any, ClassVar
 
 from typing_extensions import override
 
-from ..dynamics.elementwise import absolute, maximum, minimum, where
+from ..dynamics.elementwise import absolute, copysign, maximum, minimum, where
 from ..machine import DRIVE_KINDS, DriveKind, Effect, EffectParameter
 
 UNLIMITED = 1e9  # m/s or rad/s, of a speed that no drive reaches
@@ -47,15 +47,34 @@ def _wanted_torque(error: Any, z: Any, N: Any, speed_gain: Any, integral_rate: A
 
 
 def _next_integral(
-    w: Any, z: Any, dq: Any, dt: Any, v: Any, N: Any, speed_gain: Any, integral_rate: Any, torque_limit: Any
+    w: tuple[Any, Any, Any],
+    z: Any,
+    dq: Any,
+    dt: Any,
+    dv: Any,
+    N: Any,
+    speed_gain: Any,
+    integral_rate: Any,
+    torque_limit: Any,
 ) -> Any:
-    """Return the integral of the error of the speed, m or rad, after the time dt, in which it may be held."""
-    change = w * dt - dq
-    torque = _wanted_torque(
-        w - v, z + 0.5 * change, N, speed_gain, integral_rate
-    )  # in the middle of the time
-    winds_up = (absolute(torque) > torque_limit) & (torque * (w - v) > 0.0)
-    return where(winds_up, z, z + change)
+    """Return the integral of the error of the speed, m or rad, after the time dt.
+
+    The wanted torque is taken as linear within the step. The integral grows in the part of the step in which the torque
+    is within its limit; otherwise the time at which it is held would be known to a step only.
+
+    Args:
+        w: Commanded speed at the beginning, in the middle and at the end of the step, m/s or rad/s.
+    """
+    first, middle, last = w
+    v = dq / maximum(dt, _SMALLEST_DIVISOR)
+    change = middle * dt - dq
+    direction = copysign(1.0, change)
+    excess = [
+        direction * _wanted_torque(error, integral, N, speed_gain, integral_rate) - torque_limit
+        for error, integral in ((first - v + 0.5 * dv, z), (last - v - 0.5 * dv, z + change))
+    ]
+    within = sum(maximum(-value, 0.0) for value in excess)
+    return z + change * within / maximum(sum(map(absolute, excess)), _SMALLEST_DIVISOR)
 
 
 def _initial_spread(level, N, speed_gain, integral_rate):  # type: ignore[no-untyped-def]
@@ -69,9 +88,9 @@ def _speed_torque(V, v, z, N, speed_gain, integral_rate, torque_limit):  # type:
     return _limited(_wanted_torque(V - v, z, N, speed_gain, integral_rate), torque_limit)
 
 
-def _next_speed_integral(z, V, dq, dt, v, N, speed_gain, integral_rate, torque_limit):  # type: ignore[no-untyped-def]
+def _next_speed_integral(z, V, dq, dt, dv, N, speed_gain, integral_rate, torque_limit):  # type: ignore[no-untyped-def]
     """Return the integral of V - v, m or rad, after the time dt, s, and the travel dq, m or rad."""
-    return _next_integral(V, z, dq, dt, v, N, speed_gain, integral_rate, torque_limit)
+    return _next_integral((V, V, V), z, dq, dt, dv, N, speed_gain, integral_rate, torque_limit)
 
 
 def _position_torque(  # type: ignore[no-untyped-def]
@@ -83,11 +102,11 @@ def _position_torque(  # type: ignore[no-untyped-def]
 
 
 def _next_position_integral(  # type: ignore[no-untyped-def]
-    z, V, q, dq, dt, v, N, position_gain, speed_limit, speed_gain, integral_rate, torque_limit
+    z, V, q, dq, dt, dv, N, position_gain, speed_limit, speed_gain, integral_rate, torque_limit
 ):
     """Return the integral of the error of the speed, m or rad, after the time dt, s, and the travel dq, m or rad."""
-    w = _limited(position_gain * (V - q), speed_limit)
-    return _next_integral(w, z, dq, dt, v, N, speed_gain, integral_rate, torque_limit)
+    w = tuple(_limited(position_gain * (V - q - part * dq), speed_limit) for part in (-0.5, 0.0, 0.5))
+    return _next_integral(w, z, dq, dt, dv, N, speed_gain, integral_rate, torque_limit)
 
 
 class _SetPointDrive(DriveKind):

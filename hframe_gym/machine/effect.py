@@ -133,7 +133,7 @@ class Effect:
     rest_angle_offset   angle by which a pulley at rest lags a round one, rad        q, per_radius
     measurement         measured value of a sensor, in its unit                      r, across
     measurement_delay   delay of a sensor, s
-    next_state          state of the effect after the time dt                        z, dq, dt, v, level, i, V, q, N
+    next_state          state of the effect after the time dt                        z, dq, dt, v, dv, level, i, V, q, N
     initial_spread      standard deviation of the state when a recording begins,     level, N
                         after motion that was not recorded (default: it is zero)
 
@@ -143,7 +143,8 @@ class Effect:
       it has the argument net: net, friction: net force and friction (dry and viscous) on the coordinate at the site, N
       or Nm; m: mass of the added coordinate, kg or kg m^2.
     - Effect: z: its state, 0 when a simulation starts; u: the variable that `against` names; t: time since the machine
-      was switched on, s; dt: length of a step, s; dq: distance that the coordinate moves in dt, m or rad.
+      was switched on, s; dt: length of a step, s; dq: distance that the coordinate moves in dt, m or rad;
+      dv: change of its speed in dt, m/s or rad/s, 0 where it is not known.
     - Drive: V: voltage, V; i: current by Ohm's law, A (for `torque`, with the effects on it); q, v: position and speed
       of its coordinate; N: its gear ratio. Belt: s, rate, k: extension, m, its rate, m/s, stiffness, N/m. Sensor: r:
       ideal reading, m or rad; across: position of the other linear coordinate, m.

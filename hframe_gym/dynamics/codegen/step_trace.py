@@ -206,9 +206,11 @@ class StepTrace:
             ends = self._stops(balance, flows)
         with trace.section("5. the new state"):
             traveled = [travel - q for (_, travel), q in zip(ends, self.travel, strict=True)]
+            gained = [speed - v for (speed, _), v in zip(ends, self.speed, strict=True)]
             states = {}
             for k, state in self.effect_states.items():
-                value = equations.next_state(k, state, balance.arguments.get(k, {}), traveled, mean_speed, h)
+                given = balance.arguments.get(k, {})
+                value = equations.next_state(k, state, given, traveled, mean_speed, h, gained)
                 states[k] = trace.let("next_effect_state", k, value)
             self.effect_states = {
                 k: trace.assign(self.effect_states[k], state) for k, state in states.items()

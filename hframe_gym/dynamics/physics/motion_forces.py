@@ -303,6 +303,7 @@ def _step_arguments(
     if i >= 0:
         position = (point.travel[i] * equations.per_radius(i))[..., rows]
         series["dq"] = np.diff(position, append=position[..., -1:], axis=-1)
+        series["dv"] = np.zeros(len(rows))
         series["v"] = (point.speed[i] * equations.per_radius(i))[..., rows]
     for name in effect.parameters:
         series[name] = equations.parameter(f"{effect.label}.{name}")

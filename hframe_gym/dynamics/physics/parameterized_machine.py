@@ -216,7 +216,8 @@ class ParameterizedMachine:
         if point.elapsed is None:
             return state
         speed = self.speed(point, self.instances[k].state_coordinate)
-        quantities = {"z": state, "dq": point.elapsed * speed, "dt": point.elapsed, "v": speed, **arguments}
+        step = {"dq": point.elapsed * speed, "dt": point.elapsed, "v": speed, "dv": 0.0}
+        quantities = {"z": state, **step, **arguments}
         return named("effect_state", k, self.evaluate(self.instances[k].effect, "next_state", quantities))
 
     def _quantities(self, k: int, i: int, point: MotionPoint) -> dict[str, Value]:
@@ -247,6 +248,7 @@ class ParameterizedMachine:
         traveled: Sequence[Value],
         speed: Sequence[Value],
         dt: Value,
+        gained: Sequence[Value] | None = None,
     ) -> Value:
         """Return the state of effect k after a step of the integrator, SI.
 
@@ -257,10 +259,12 @@ class ParameterizedMachine:
             traveled: Change of the belt travel of each coordinate over the step, m.
             speed: Mean rate of the belt travel of each coordinate in the step, m/s.
             dt: Length of the step, s.
+            gained: Change of that rate in the step, m/s; None: not known, and taken as zero.
         """
         quantities = {"z": state, "dt": dt, **arguments}
         if (i := self.instances[k].state_coordinate) >= 0:
             quantities |= {"dq": traveled[i] * self.per_radius(i), "v": speed[i] * self.per_radius(i)}
+            quantities["dv"] = gained[i] * self.per_radius(i) if gained else 0.0
         return self.evaluate(self.instances[k].effect, "next_state", quantities)
 
 

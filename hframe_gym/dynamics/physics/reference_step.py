@@ -94,8 +94,9 @@ def reference_step(equations: Equations, state: StepState, voltages: Sequence[fl
 
     # 4. States of the effects.
     traveled = [travel[i] - p[i] for i in coordinates]
+    gained = [speed[i] - v[i] for i in coordinates]
     effect_states = {
-        k: equations.next_state(k, z, balance.arguments.get(k, {}), traveled, mean_speed, h)
+        k: equations.next_state(k, z, balance.arguments.get(k, {}), traveled, mean_speed, h, gained)
         for k, z in state.effect_states.items()
     }
     return StepState(travel, speed, state.time + h, effect_states)
