@@ -158,6 +158,23 @@ class MachineExporter(Exporter):
         return [plain(line) for line in lines]
 
 
+def refuse_drive_laws(machine: Machine, what: str) -> None:
+    """Refuse a machine with drives that follow a set point, for a file that has no place for their loops.
+
+    Args:
+        what: The file with its article, for example "an FMU".
+
+    Raises:
+        InputError: If the torque of a drive follows a law of its own.
+    """
+    if machine.drive_laws:
+        drives = " and ".join(law.site for law in machine.drive_laws)
+        raise InputError(
+            f"machine {machine.name!r}: {what} has no place for the loop of {drives}, which follows a set point; "
+            "export a copy of the machine whose drives are of the kind torque"
+        )
+
+
 def plain(text: str) -> str:
     """Return a text as one that is safe inside a comment of any exported language.
 

@@ -20,7 +20,7 @@ from ..dynamics.physics.parameterized_machine import Value
 from ..dynamics.simulation import LONGEST_STEP
 from ..errors import InputError
 from ..machine import Machine, rest_positions_per_axis
-from .base import EXPORTERS, Files, MachineExporter, indented, plain, require_linear_axes
+from .base import EXPORTERS, Files, MachineExporter, indented, plain, refuse_drive_laws, require_linear_axes
 from .c_source import c_comment, constants, declaration, definition, helper_functions
 from .formula_source import C99, Formula, Signal, parameters_of, trace_formula
 
@@ -47,6 +47,7 @@ class FmuExporter(MachineExporter):
 
     def files(self, machine: Machine) -> Files:
         """Return the archive."""
+        refuse_drive_laws(machine, "an FMU")
         unsupported = [
             effect.label
             for effect in machine.effects

@@ -26,7 +26,7 @@ from ..dynamics import Equations, MotionPoint
 from ..dynamics.elementwise import sign
 from ..errors import InputError
 from ..machine import AppliedEffect, Machine, argument_names, rest_positions_per_axis
-from .base import require_linear_axes
+from .base import refuse_drive_laws, require_linear_axes
 
 Values = Mapping[str, Any] | None
 BISECTIONS = 64  # halvings of the range of a command: the result is exact to rounding
@@ -50,6 +50,7 @@ class InverseDynamics:
     """
 
     def __init__(self, machine: Machine) -> None:
+        refuse_drive_laws(machine, "inverse dynamics")
         self.axes = machine.tool_axes
         require_linear_axes(machine, "the source of a motion controller")
         if not self.axes or len(machine.drives) != len(self.axes):

@@ -17,7 +17,7 @@ from ..arrays import Array
 from ..dynamics import belt_states
 from ..errors import InputError
 from ..machine import Coordinate, Machine
-from .base import axis_range, require_linear_axes
+from .base import axis_range, refuse_drive_laws, require_linear_axes
 
 # MuJoCo's friction is a soft constraint: it brings a velocity to zero within the time constant of `solreffriction` (20
 # ms by default) and creeps according to the impedance of `solimpfriction`. `default` uses these defaults. `stiff` is as
@@ -68,8 +68,9 @@ def model_xml(
         Model as XML.
 
     Raises:
-        InputError: If the machine has other coordinates than tool axes and pulleys.
+        InputError: If the machine has other coordinates than tool axes and pulleys, or drives that follow a set point.
     """
+    refuse_drive_laws(machine, "a model of bodies")
     axes = tool_coordinates(machine)
     pulleys = [c for c in machine.coordinates if c.kind == "rotary"]
     names = {c.name: quoteattr(c.name) for c in machine.coordinates}

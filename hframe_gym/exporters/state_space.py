@@ -20,7 +20,8 @@ class StateSpaceExporter(MachineExporter):
 
     The files are state_space.mat (MATLAB, SciPy), state_space.json (its entries A, B, C, D, states, inputs, outputs are
     arguments of control.ss in python-control), state_space.csv (one labeled table) and modes.csv. States are positions
-    and velocities of all coordinates, SI; inputs are drive voltages. Dry friction is left out; delays are stated.
+    and velocities of all coordinates, SI; inputs are the commands of the drives. Dry friction is left out; delays are
+    stated. A drive that follows a set point is linear about it, and the integral of its loop keeps its value.
 
     Example:  hframe export state-space --machine hframe --at x=0.1 --out out/state_space
     """
@@ -60,7 +61,7 @@ class StateSpaceExporter(MachineExporter):
             "name": machine.name,
             "operating_point": dict(zip(machine.coordinate_names, position.tolist(), strict=True)),
             **model._asdict(),
-            "input_units": ["V"] * len(model.inputs),
+            "input_units": [machine.command_unit(drive) for drive in machine.drives],
             "modes": [
                 {
                     "eigenvalue_1_s": [m.eigenvalue.real, m.eigenvalue.imag],

@@ -8,10 +8,12 @@ import pytest
 
 from hframe_gym import InputError, load_machine, make_controller
 from hframe_gym.controllers.set_point import SetPointController
+from hframe_gym.exporters import EXPORTERS
+from hframe_gym.exporters.friction_map import friction_parts
 from hframe_gym.machine import Drive, Machine, rest_positions_per_axis
 from tests.identification.control_of_kinds import action_of_a_trained_agent
 
-STATIC_GAIN = {"speed_gain": 0.02, "integral_rate": 10.0, "torque_limit": 0.5}
+GAINS = {"speed_gain": 0.02, "integral_rate": 10.0, "torque_limit": 0.5}
 
 
 def with_loops(kind: str, name: str = "hframe") -> Machine:
@@ -22,7 +24,7 @@ def with_loops(kind: str, name: str = "hframe") -> Machine:
     drives = []
     for drive in machine.drives:
         rated = float(reach[machine.coordinate_names.index(drive.coordinate)] @ farthest)
-        law = {**STATIC_GAIN, **({"position_gain": 40.0} if kind == "position" else {})}
+        law = {**GAINS, **({"position_gain": 40.0} if kind == "position" else {})}
         drives.append(
             Drive(
                 drive.name,
@@ -105,6 +107,25 @@ def test_a_rated_position_that_is_too_small_is_told() -> None:
     assert SetPointController(machine).concern() is None
     short = machine.replace({}, drives=(dataclasses.replace(machine.drives[0], rated_voltage=0.1),))
     assert "does not reach all of the workspace" in str(SetPointController(short).concern())
+
+
+@pytest.mark.parametrize("name", ["c", "st", "fmu", "mjcf"])
+def test_files_without_a_place_for_the_loops_are_refused(name: str) -> None:
+    machine = with_loops("position")
+    exporter = EXPORTERS.get(name)(machine=machine)
+    with pytest.raises(InputError, match="no place for the loop of motor1 and motor2"):
+        exporter.files(machine)
+
+
+def test_a_friction_map_is_that_of_the_machine_without_loops() -> None:
+    machine = with_loops("speed", "axis")
+    speed, position = np.array([-0.2, 0.1]), np.zeros(2)
+    plain = machine.replace(
+        drives=tuple(dataclasses.replace(drive, kind="torque", law_parameters={}) for drive in machine.drives)
+    )
+    parts = [np.array(friction_parts(m, 0, speed, None, position, 0.0)) for m in (machine, plain)]
+    np.testing.assert_array_equal(*parts)
+    assert np.all(parts[0][0] != 0.0)
 
 
 @pytest.mark.train

@@ -11,6 +11,7 @@ from hframe_gym.errors import InputError
 from hframe_gym.identification import identify
 from hframe_gym.machine import Coordinate, Drive, Machine, Sensor
 from hframe_gym.recordings import Recording, machine_to_dict, save_machine
+from tests.dynamics.test_reference_step import largest_difference
 from tests.reference_simulator.axis import Axis, Servo, held_levels, record
 
 ROWS, PERIOD = 500, 5e-3
@@ -58,6 +59,12 @@ def test_the_motion_is_that_of_the_independent_simulator(kind: str, servo: Servo
     simulated = simulate(servo_machine(kind, servo), motion.time_s, motion.command[:, None])
     assert np.abs(simulated.positions[:, 0] - motion.position).max() < 3e-4 * np.ptp(motion.position)
     assert np.abs(simulated.velocities[:, 0] - motion.speed).max() < 5e-4 * np.ptp(motion.speed)
+
+
+@pytest.mark.parametrize("kind", ["speed", "position"])
+def test_the_generated_step_is_the_specified_one(kind: str) -> None:
+    machine = servo_machine(kind, Servo(25.0, 12.0, 2e-3, 0.1, 0.03, 3.0))
+    assert largest_difference(machine) < 1e-12
 
 
 @pytest.mark.oracle
