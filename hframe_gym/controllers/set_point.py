@@ -22,7 +22,7 @@ from typing_extensions import override
 from ..arrays import Actions, Array, KeyedObservation, Mask
 from ..dynamics import linearize
 from ..errors import InputError
-from ..machine import Machine, motion_limits, rest_positions_per_axis, rest_state
+from ..machine import DRIVE_KINDS, Drive, Machine, motion_limits, rest_positions_per_axis
 from .base import CONTROLLERS, Controller, EpisodeStarts, Feedback, check_goal_units, check_keys
 
 # Part of the drives' largest force that accelerates along one axis. The rest is left for the other axis, for friction
@@ -32,6 +32,7 @@ FORCE_FRACTION = 0.5
 RATE_FRACTION, BANDWIDTH_FRACTION = 0.2, 0.25
 # Damping ratio below which a vibration lasts longer than the mean over its period, and number of modes that count.
 LIGHT_DAMPING, MOST_MODES = 0.5, 3
+LONGEST_CROSSING_S = 10.0  # s; drives that need longer to cross the workspace have too long a control period
 
 
 @CONTROLLERS.register("set-point")
@@ -75,17 +76,13 @@ class SetPointController(Controller):
         of_axes = [limits[axis] for axis in machine.tool_axes]
         share = FORCE_FRACTION / len(of_axes)
         self.acceleration: Array = np.array([share * axis.force / axis.inertia for axis in of_axes])
-        largest = [
-            d.rated_voltage if d.command == "speed" else d.law_parameters["speed_limit"]
-            for d in machine.drives
-        ]
+        largest = [self._largest_speed(drive) for drive in machine.drives]
         with np.errstate(divide="ignore"):
             per_axis = np.array(largest)[:, None] / np.abs(self._reach) / len(of_axes)
         self.speed: Array = per_axis.min(axis=0)
         self._follows_speed = np.array([d.command == "speed" for d in machine.drives])
-        self._lag = np.array(
-            [0.0 if d.command == "speed" else 1.0 / d.law_parameters["position_gain"] for d in machine.drives]
-        )
+        gains = [d.law_parameters.get("position_gain", np.inf) for d in machine.drives]
+        self._lag = np.where(self._follows_speed, 0.0, 1.0 / np.array(gains))  # s
         self._correction = self._correction_rate()
         self.weights: Array = self._mean_over_modes()
         self._delay = int(np.rint(self.weights @ np.arange(len(self.weights))))  # periods
@@ -96,11 +93,8 @@ class SetPointController(Controller):
     def _mean_over_modes(self) -> Array:
         """Return the weights of the mean over one period of each of the slowest lightly damped modes."""
         machine = self.machine
-        middle = {
-            axis: float(np.mean(machine.coordinate(axis).range or (0.0, 0.0))) for axis in machine.tool_axes
-        }
-        linear = [middle.get(c.name, 0.0) for c in machine.coordinates if c.kind == "linear"]
-        position = rest_state(machine, linear)[: len(machine.coordinates)]
+        middle = [np.mean(machine.coordinate(axis).range or (0.0, 0.0)) for axis in machine.tool_axes]
+        position = rest_positions_per_axis(machine) @ np.array(middle)
         poles = np.linalg.eigvals(linearize(machine, position).A)
         light = poles[(poles.imag > 0.0) & (-poles.real < LIGHT_DAMPING * np.abs(poles))]
         weights = np.ones(1)
@@ -111,12 +105,20 @@ class SetPointController(Controller):
                 weights = np.convolve(weights, mean)
         return weights
 
+    def _largest_speed(self, drive: Drive) -> float:
+        """Return the largest speed of a drive's coordinate, m/s or rad/s, by set points that are held over a period."""
+        if drive.command == "speed":
+            return drive.rated_voltage
+        jump = DRIVE_KINDS.get(drive.kind).largest_jump(drive.gear_ratio, drive.law_parameters)
+        return min(drive.law_parameters.get("speed_limit", np.inf), jump / self.period)
+
     def _correction_rate(self) -> float:
         """Return the speed that corrects an error of the position, 1/s, below the bandwidth of the slowest drive."""
         limits = motion_limits(self.machine)
         inertia = np.array([limits[axis].inertia for axis in self.machine.tool_axes])
-        damping = np.array([d.law_parameters["speed_gain"] * d.gear_ratio**2 for d in self.machine.drives])
-        slowest = float(np.min((self._reach**2).T @ damping / inertia))
+        slowest = float(
+            np.min((self._reach**2).T @ np.array([d.damping for d in self.machine.drives]) / inertia)
+        )
         return min(RATE_FRACTION / self.period, BANDWIDTH_FRACTION * slowest)
 
     @override
@@ -125,18 +127,24 @@ class SetPointController(Controller):
 
     @override
     def concern(self) -> str | None:
-        """Return a warning if the rated positions of the drives do not reach all of the workspace."""
-        ranges = [self.machine.coordinate(axis).range or (0.0, 0.0) for axis in self.machine.tool_axes]
+        """Return a warning if the rated positions do not reach all of the workspace, or the period is too long."""
+        machine = self.machine
+        ranges = [machine.coordinate(axis).range or (0.0, 0.0) for axis in machine.tool_axes]
         corners = np.stack(np.meshgrid(*ranges, indexing="ij"), axis=-1).reshape(-1, len(ranges))
-        beyond = np.abs(corners @ self._reach.T).max(axis=0) > self._rated * (1.0 + 1e-9)
-        short = [
-            d.name
-            for d, far, speed in zip(self.machine.drives, beyond, self._follows_speed, strict=True)
-            if far and not speed
-        ]
-        if not short:
-            return None
-        return f"the rated_position of {' and '.join(short)} does not reach all of the workspace"
+        farthest = np.abs(corners @ self._reach.T).max(axis=0)
+        beyond = ~self._follows_speed & (farthest > self._rated * (1.0 + 1e-9))
+        if beyond.any():
+            short = [drive.name for drive, far in zip(machine.drives, beyond, strict=True) if far]
+            return f"the rated_position of {' and '.join(short)} does not reach all of the workspace"
+        jumps = [DRIVE_KINDS.get(d.kind).largest_jump(d.gear_ratio, d.law_parameters) for d in machine.drives]
+        widths = np.array([high - low for low, high in ranges])
+        if np.isfinite(min(jumps)) and (widths > LONGEST_CROSSING_S * self.speed).any():
+            speed = ", ".join(f"{s:.2g}" for s in self.speed)
+            return (
+                f"set points that are held for {self.period:g} s move the tool at {speed} m/s at most without losing "
+                "steps; a shorter control period permits more (--period 0.001)"
+            )
+        return None
 
     @override
     def act(self, observation: KeyedObservation) -> Actions:

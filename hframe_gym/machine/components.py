@@ -210,6 +210,19 @@ class DriveKind:
         return 0.0
 
     @classmethod
+    def largest_jump(cls, gear_ratio: float, law_parameters: Mapping[str, float]) -> float:
+        """Return by how much a commanded position may change at once, in the coordinate's unit.
+
+        Args:
+            gear_ratio: Gear ratio of the drive, rad/m or rad/rad.
+            law_parameters: Values of the parameters of the law, SI.
+
+        Returns:
+            The change, m or rad, beyond which the drive does not follow; infinite if it always does.
+        """
+        return math.inf
+
+    @classmethod
     def rated(cls) -> str:
         """Return the field of machine.json that states the command of an action of 1, for example rated_voltage."""
         return f"rated_{cls.command}"

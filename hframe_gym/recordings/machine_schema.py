@@ -158,7 +158,7 @@ class DriveEntry(Table):
         name: Name of the drive.
         kind: What its command is: "voltage" (default), "duty-cycle" (fraction of the supply voltage, from -1 to 1),
             "current" or "torque" of an amplifier that controls it, "position" or "speed" of the coordinate for a servo
-            that follows this set point, or a registered kind.
+            that follows this set point, "stepper" for a motor that holds it, or a registered kind.
         channel: Column of its command in recordings, for example v1_V, i1_A, torque1_Nm or command_rad. A positive
             command accelerates the coordinate in positive direction.
         supply: Column of the measured supply voltage in recordings, V, for example vbus_V. Drives may share it. Only
@@ -175,10 +175,11 @@ class DriveEntry(Table):
             "duty-cycle".
         rated_current: Current that an action of 1 commands, A, for the kind "current".
         rated_torque: Torque of the motor shaft that an action of 1 commands, Nm, for the kind "torque".
-        rated_position: Position of the coordinate that an action of 1 commands, m or rad, for the kind "position".
+        rated_position: Position of the coordinate that an action of 1 commands, m or rad, for the kinds "position" and
+            "stepper".
         rated_speed: Speed of the coordinate that an action of 1 commands, m/s or rad/s, for the kind "speed".
         parameters: Values with units by name, for kinds whose torque follows a law: gains and limits of the loop of the
-            kinds "position" and "speed". Those with a default may be left out.
+            kinds "position" and "speed", holding torque of a "stepper". Those with a default may be left out.
         converter_bits: Bits of the digital-to-analog converter; 0 (default) for a continuous voltage.
         voltage_range: Largest command of the converter in either direction, in its unit. Default: the rated one.
         current_limit: Largest current, A (declares the effect current_limit). Default: unlimited.

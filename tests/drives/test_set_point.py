@@ -22,7 +22,7 @@ SERVOS = {
 }
 LARGEST = {"speed": 15.0, "position": 1.2}  # rad/s, rad
 SENSORS = {
-    "speed": Sensor("phi_rad", {"shaft": 1.0}, 0.0, 2 * np.pi / 20000, "encoder"),
+    "speed": Sensor("phi_rad", {"shaft": 1.0}, 0.0, 2 * np.pi / 4096, "encoder"),
     "position": Sensor("phi_rad", {"shaft": 1.0}, 0.0, 2 * np.pi / 4096),
 }
 

@@ -49,6 +49,24 @@ class Servo:
 
 
 @dataclass(frozen=True)
+class Stepper:
+    """A stepper motor with 200 full steps per turn.
+
+    Attributes:
+        holding: Holding torque, Nm.
+        gear: Turns of the motor per turn of the axis.
+    """
+
+    holding: float
+    gear: float = 1.0
+
+    def torque(self, command: float, q: float, v: float, integral: float) -> tuple[float, float]:
+        """Return the torque of the motor, Nm, and zero, because nothing is integrated."""
+        full_steps = self.gear * (command - q) * 200.0 / (2.0 * np.pi)
+        return self.holding * float(np.sin(0.5 * np.pi * full_steps)), 0.0
+
+
+@dataclass(frozen=True)
 class Axis:
     """Parameters of the axis and of its drive, SI; positions in rad.
 
@@ -60,7 +78,7 @@ class Axis:
         resistance: Of the motor, ohm.
         bandwidth_hz: Of an amplifier that controls the current; 0 for one that applies the commanded voltage.
         limit_A: Largest current of such an amplifier.
-        servo: Controller that follows the command, in place of the motor and its amplifier.
+        servo: Servo or stepper motor that follows the command, in place of the motor and its amplifier.
     """
 
     inertia: float = 2e-4
@@ -70,7 +88,7 @@ class Axis:
     resistance: float = 1.5
     bandwidth_hz: float = 0.0
     limit_A: float = float("inf")
-    servo: Servo | None = None
+    servo: Servo | Stepper | None = None
 
 
 class Record(NamedTuple):
