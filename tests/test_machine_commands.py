@@ -267,10 +267,14 @@ def test_a_new_corexy_machine_works_in_the_environment_and_under_the_pid(
 
 
 def test_json_blocks_of_the_page_are_valid(tmp_path: Path) -> None:
-    rig, belt, ties, servo = (json.loads(text) for text in re.findall(r"```json\n(.*?)```", PAGE, re.DOTALL))
+    texts = re.findall(r"```json\n(.*?)```", PAGE, re.DOTALL)
+    rig, belt, ties, servo, drive = map(json.loads, texts)
     for machine, channel in ((rig, "x_m"), (servo, "angle_rad")):
         (tmp_path / "rig.json").write_text(json.dumps(machine))
         assert load_machine(tmp_path / "rig.json").output_channels == (channel,)
+    preset = machine_to_dict(BUILTIN_MACHINES["servo"]())
+    (tmp_path / "rig.json").write_text(json.dumps(preset | {"drives": [drive]}))
+    assert load_machine(tmp_path / "rig.json").drives[0].kind == "position"
     corexy = BUILTIN_MACHINES["corexy"]()
     assert belt["extension"] == corexy.belts[0].extension
     assert belt["length"] == corexy.belts[0].length

@@ -29,8 +29,13 @@ _OF_MACHINE = (RUNS, FINDINGS, RESULT, CONTROL, EXPORTS)  # what belongs to one 
 _KINDS = {
     "hframe": "H-frame, one belt for both motors",
     "axis": "One axis",
-    "belt-axis": "One axis on a belt",
+    "belt-axis": "One axis with a belt",
     "corexy": "CoreXY, a belt for each motor",
+    "printer": "CoreXY printer with stepper motors",
+    "motor": "Motor",
+    "pendulum": "Pendulum on a motor",
+    "wheel": "Wheel with a gear motor",
+    "servo": "Servo",
 }
 
 

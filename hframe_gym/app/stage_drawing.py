@@ -42,7 +42,8 @@ def drawing_of(machine: Machine) -> dict[str, Any] | None:
         belts = [("line", "belt", line) for line in geometry.sections(x, y).values()]
         centers = enumerate(geometry.pulleys(x, y))
         pulleys = [("circle", "motor" if k in motors else "pulley", [center]) for k, center in centers]
-        tool = _corners((x - _HALF_TOOL, y - _HALF_TOOL, x + _HALF_TOOL, y + _HALF_TOOL))
+        half = min(_HALF_TOOL, geometry.half_tool[0])
+        tool = _corners((x - half, y - half, x + half, y + half))
         return [*boxes, *belts, *pulleys, ("box", "tool", tool)]
 
     shapes = [_shape(*part) for part in zip(parts(0.0, 0.0), parts(1.0, 0.0), parts(0.0, 1.0), strict=True)]

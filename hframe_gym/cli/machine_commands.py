@@ -113,18 +113,24 @@ def print_schema() -> None:
 
 @machines_app.command("new")
 def new_machine_file(
-    like: Annotated[str, typer.Option(help="Template: hframe, axis, belt-axis or corexy.")] = "",
+    like: Annotated[
+        str,
+        typer.Option(
+            help="Template: hframe, corexy, printer, axis, belt-axis, motor, pendulum, wheel or servo."
+        ),
+    ] = "",
     out: Annotated[Path | None, typer.Option(help="File to write.")] = None,
     name: Annotated[str, typer.Option(help="Name of the machine (default: name of the file).")] = "",
     travel: Annotated[str, typer.Option(help="Travel along x and y, m, for example 0.3,0.2.")] = "",
     mass: Annotated[
-        str, typer.Option(help="Moving mass along x and y without rotors, kg, e.g. 0.4,1.2.")
+        str,
+        typer.Option(help="Moving mass along x and y without rotors, kg, e.g. 0.4,1.2, or inertia, kg m^2."),
     ] = "",
     pulley_radius: Annotated[
         float | None, typer.Option(help="Pitch radius of the motors' pulleys, m.")
     ] = None,
     gear_ratio: Annotated[
-        float | None, typer.Option(help="Turns of the motor per turn of the pulley.")
+        float | None, typer.Option(help="Turns of the motor per turn of the pulley or axis.")
     ] = None,
     rotor_inertia: Annotated[float | None, typer.Option(help="Inertia of a motor's rotor, kg m^2.")] = None,
     torque_constant: Annotated[
@@ -141,7 +147,8 @@ def new_machine_file(
 ) -> None:
     """Write a commented machine.json from a template; without --like or --out, ask for the values.
 
-    Values that are not given are those of the template. For an axis, --travel and --mass are one number each.
+    Values that are not given are those of the template. For one axis, --travel and --mass are one number each; for a
+    motor, pendulum, wheel or servo, --mass is the moment of inertia of what turns, kg m^2.
 
     Example:  hframe machines new --like corexy --travel 0.3,0.3 --mass 0.4,1.2 --out my.json
     """

@@ -18,6 +18,7 @@ from ..operating_system import quoted
 from ..recordings import (
     TEMPLATE_QUESTIONS,
     TEMPLATES,
+    WITH_CARRIAGES,
     MachineOptions,
     new_machine,
     template_value,
@@ -176,8 +177,8 @@ def ask(answers: MachineAnswers, log: Callable[[str], None], force: bool = False
     for option, question, templates in TEMPLATE_QUESTIONS:
         if like in templates and getattr(answers, option) in ("", None):
             answers = _ask_value(answers, option, question, log)
-    while answers.linear_sensor is None:
-        axes = " and ".join(new_machine(like, "template", MachineOptions()).tool_axes)
+    while answers.linear_sensor is None and like in WITH_CARRIAGES:
+        axes = "x and y" if like in ("hframe", "corexy") else "x"
         measured = typer.confirm(f"Does a sensor measure {axes} directly?", default=True)
         trial = dataclasses.replace(answers, linear_sensor=measured)
         if _is_usable(trial, log):

@@ -11,15 +11,19 @@ import pkgutil
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from ..machine import Effect, Machine
+from ..machine import BUILTIN_MACHINES, Effect, Machine
 from ..registry import load_plugins
 from . import smooth_table
+from .machines import pendulum
+
+BUILTIN_MACHINES["pendulum"] = pendulum
+_NO_EFFECTS = ("smooth_table", "machines")  # modules of this folder without an EFFECT
 
 
 def _library() -> dict[str, Effect]:
     """Return the effect of every module in this folder by name; tables have no fixed name."""
     modules = sorted(
-        m.name for m in pkgutil.iter_modules(__path__) if not m.ispkg and m.name != "smooth_table"
+        m.name for m in pkgutil.iter_modules(__path__) if not m.ispkg and m.name not in _NO_EFFECTS
     )
     return {e.name: e for e in (importlib.import_module(f"{__name__}.{m}").EFFECT for m in modules)}
 

@@ -196,7 +196,9 @@ class Renderer:
             color = tension_color(scene.tensions.get(self._geometry.belts.get(name, "")))
             draw.lines(surface, color, False, [self._pixel(p) for p in points], 4)
         self._draw_pulleys(scene)
-        draw.rect(surface, CART, self._box((x - 0.055, y - 0.028, x + 0.055, y + 0.028)), border_radius=6)
+        width, height = self._geometry.half_tool
+        cart = self._box((x - width, y - height, x + width, y + height))
+        draw.rect(surface, CART, cart, border_radius=6)
         self._draw_line(scene.path, PATH, 3)
         self._draw_line(scene.trail, TRACE, 2)
         self._draw_target(scene)

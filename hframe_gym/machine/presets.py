@@ -1,4 +1,7 @@
-"""Preset machines: the variants of the H-frame rig of Sollmann et al. (2010), "the paper" below, an axis and a CoreXY.
+"""Preset machines: the variants of the H-frame rig of Sollmann et al. (2010), "the paper" below, axes and motors.
+
+The values of the others are typical ones, not those of a particular machine. `hframe_gym.effects` adds the pendulum,
+whose weight is an effect of the library.
 
 References:
     Sollmann, Jouaneh and Lavender (2010), Tables 1, 3 and 4; errata in docs/errata.md.
@@ -10,6 +13,7 @@ import dataclasses
 import math
 from collections.abc import Callable
 
+from .axis_unit import ARM
 from .components import Belt, Coordinate, Drive, Sensor
 from .machine import Machine
 
@@ -314,6 +318,139 @@ def corexy() -> Machine:
     )
 
 
+def printer() -> Machine:
+    """Return the CoreXY stage of a 3D printer: its stepper motors follow the positions that a planner commands.
+
+    The torque of a stepper motor with 50 pole pairs grows with the angle behind the command by 50 times its holding
+    torque per rad, here 0.48 Nm, the stall torque of the preset `corexy`. Its natural damping is low: a tenth of the
+    critical one for the rotor with the carriage.
+
+    Returns:
+        The preset `printer`: `corexy` with drives of the kind "position" and sensors of x and y only.
+    """
+    machine = corexy()
+    holding, pole_pairs, damping = 0.48, 50, 4.4e-3  # Nm, -, Nms
+    reach = 2.0 * COREXY_TRAVEL / COREXY_RADIUS  # rad, in a corner of the workspace
+    drives = tuple(
+        Drive(
+            f"motor{i}",
+            f"command{i}_rad",
+            f"phi{i}",
+            Kt=1.0,
+            Ke=0.0,
+            resistance=1.0,
+            gear_ratio=1.0,
+            rated_voltage=math.ceil(reach),
+            kind="position",
+            law_parameters={
+                "position_gain": pole_pairs * holding / damping,
+                "speed_gain": damping,
+                "torque_limit": holding,
+            },
+        )
+        for i in (1, 2)
+    )
+    return machine.replace(
+        name="printer",
+        description="A CoreXY 3D printer: two belts, two stepper motors that follow commanded positions.",
+        drives=drives,
+        sensors=tuple(s for s in machine.sensors if s.kind != "encoder"),
+    )
+
+
+def motor() -> Machine:
+    """Return a DC motor with an encoder, without a load.
+
+    Returns:
+        The preset `motor`: coordinate shaft (rad), one drive of 12 V, sensor shaft_rad.
+    """
+    return Machine(
+        name="motor",
+        description="A DC motor with an encoder of 500 lines, driven by a voltage.",
+        coordinates=(Coordinate("shaft", mass=2e-5, viscous=1e-5, coulomb=3e-3, kind="rotary", radius=ARM),),
+        belts=(),
+        drives=(
+            Drive(
+                "motor", "v_V", "shaft", Kt=0.05, Ke=0.05, resistance=1.0, gear_ratio=1.0, rated_voltage=12.0
+            ),
+        ),
+        sensors=(Sensor("shaft_rad", {"shaft": 1.0}, resolution=2 * math.pi / (4 * 500), kind="encoder"),),
+    )
+
+
+def wheel() -> Machine:
+    """Return a wheel of a small mobile robot behind a gear motor, which a bridge drives with a duty cycle.
+
+    A wheel of 35 mm carries half of a robot of 1 kg, 6e-4 kg m^2 of the total, and the rotor counts 900 times.
+
+    Returns:
+        The preset `wheel`: coordinate wheel (rad), one drive of the kind "duty-cycle" with a supply of 6 V and a gear
+        of 30:1, sensor wheel_rad, an encoder of 3 lines on the motor.
+    """
+    gear = 30.0
+    return Machine(
+        name="wheel",
+        description="A wheel of a mobile robot: gear motor, duty cycle, encoder on the motor.",
+        coordinates=(Coordinate("wheel", mass=1e-3, viscous=5e-4, coulomb=0.03, kind="rotary", radius=ARM),),
+        belts=(),
+        drives=(
+            Drive(
+                "motor",
+                "duty",
+                "wheel",
+                Kt=6e-3,
+                Ke=6e-3,
+                resistance=3.0,
+                gear_ratio=gear,
+                rated_voltage=6.0,
+                kind="duty-cycle",
+            ),
+        ),
+        sensors=(
+            Sensor("wheel_rad", {"wheel": 1.0}, resolution=2 * math.pi / (4 * 3 * gear), kind="encoder"),
+        ),
+    )
+
+
+def servo() -> Machine:
+    """Return a hobby servo with an arm: it follows a commanded angle, and a sensor measures the angle.
+
+    Returns:
+        The preset `servo`: coordinate horn (rad), range +-90 degrees, one drive of the kind "position" with at most
+        0.2 Nm and 10 rad/s at the horn, sensor horn_rad with a known zero.
+    """
+    return Machine(
+        name="servo",
+        description="A hobby servo that follows a commanded angle.",
+        coordinates=(
+            Coordinate(
+                "horn", mass=2e-4, viscous=1e-3, coulomb=0.01, kind="rotary", radius=ARM, range=(-1.57, 1.57)
+            ),
+        ),
+        belts=(),
+        drives=(
+            Drive(
+                "servo",
+                "command_rad",
+                "horn",
+                Kt=1.0,
+                Ke=0.0,
+                resistance=1.0,
+                gear_ratio=1.0,
+                rated_voltage=1.57,
+                kind="position",
+                law_parameters={
+                    "position_gain": 20.0,
+                    "speed_limit": 10.0,
+                    "speed_gain": 0.02,
+                    "torque_limit": 0.2,
+                },
+            ),
+        ),
+        sensors=(Sensor("horn_rad", {"horn": 1.0}, noise=1e-3, resolution=1.5e-3, kind="laser"),),
+    )
+
+
 BUILTIN_MACHINES: dict[str, Callable[[], Machine]] = {
     "hframe": hframe,
     "hframe-linear": hframe_linear,
@@ -322,4 +459,8 @@ BUILTIN_MACHINES: dict[str, Callable[[], Machine]] = {
     "axis": axis,
     "belt-axis": belt_axis,
     "corexy": corexy,
+    "printer": printer,
+    "motor": motor,
+    "wheel": wheel,
+    "servo": servo,
 }

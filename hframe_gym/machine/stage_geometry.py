@@ -54,6 +54,7 @@ class StageGeometry:
     # m, of the bridge's end plates: half width, and length beyond and inside the rails
     plate = (0.04, 0.02, 0.02)
     half_beam = 0.012  # m, half width of the bridge between them
+    half_tool = (0.055, 0.028)  # m, half width and height of the carriage in pictures
     # Bridge axis for which `_swap` exchanges x and y: a bridge along y is drawn as one along x.
     _swapped_axis = 1
 
@@ -129,6 +130,8 @@ class StageGeometry:
 
 class DialGeometry(StageGeometry):
     """View of a rotary axis along its shaft: an arm of 0.1 m (`ARM`) with the tool at its end."""
+
+    half_tool = (0.012, 0.012)
 
     def __init__(self) -> None:
         """Create the view; angles count counterclockwise from the right."""

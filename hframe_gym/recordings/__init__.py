@@ -37,7 +37,14 @@ from .logs import (
 from .machine_file import load_machine, machine_to_dict, save_machine
 from .machine_reader import implausible_values
 from .machine_schema import TABLES, Table, field_descriptions, field_units, machine_json_schema, table_summary
-from .machine_template import TEMPLATES, MachineOptions, new_machine, write_machine_template
+from .machine_template import (
+    TEMPLATE_QUESTIONS,
+    TEMPLATES,
+    WITH_CARRIAGES,
+    MachineOptions,
+    new_machine,
+    write_machine_template,
+)
 from .quantities import split_unit
 from .quantization import exact_quantum, quantum_of
 from .recording import (
@@ -50,7 +57,7 @@ from .recording import (
     write_trajectory,
 )
 from .table_file import read_path, recording_files
-from .template_questions import TEMPLATE_QUESTIONS, template_value
+from .template_questions import template_value
 from .wrapping import Wrap, find_wrap, known_moduli, unwrapped, without_wraps, wraps_of
 
 __all__ = [
@@ -59,6 +66,7 @@ __all__ = [
     "TEMPLATES",
     "TEMPLATE_QUESTIONS",
     "TIME",
+    "WITH_CARRIAGES",
     "ChannelSource",
     "ImportSettings",
     "Interval",

@@ -13,12 +13,38 @@ from typing import Any
 
 from ..atomic_files import write_text
 from ..errors import InputError, suggestion
-from ..machine import BUILTIN_MACHINES, Drive, Machine, Sensor
+from ..machine import BUILTIN_MACHINES, Drive, Machine, Sensor, rest_positions_per_axis
 from .machine_file import machine_to_dict
 from .machine_reader import MachineReader
 from .machine_schema import MachineFile
 
-TEMPLATES = ("hframe", "axis", "belt-axis", "corexy")
+TEMPLATES = ("hframe", "corexy", "printer", "axis", "belt-axis", "motor", "pendulum", "wheel", "servo")
+PLANAR = ("hframe", "corexy", "printer")
+TURNING = ("motor", "pendulum", "wheel", "servo")  # one rotary axis
+SET_POINT = ("printer", "servo")  # whose drives follow a set point
+WITH_ENCODERS = tuple(name for name in TEMPLATES if name not in SET_POINT)
+WITH_CARRIAGES = (
+    "hframe",
+    "corexy",
+    "axis",
+    "belt-axis",
+)  # whose position a sensor may measure beside encoders
+# Option, question, and the templates to which it applies.
+TEMPLATE_QUESTIONS = (
+    ("travel", "Travel along x and y, m", PLANAR),
+    ("travel", "Travel, m", ("axis", "belt-axis")),
+    ("mass", "Moving mass along x and y, kg", PLANAR),
+    ("mass", "Moving mass without the motor, kg", ("axis", "belt-axis")),
+    ("mass", "Moment of inertia of what turns, without the motor, kg m^2", TURNING),
+    ("pulley_radius", "Pitch radius of the motors' pulleys, m", (*PLANAR, "axis", "belt-axis")),
+    ("gear_ratio", "Turns of the motor per turn of the pulley", ("hframe", "corexy", "axis", "belt-axis")),
+    ("gear_ratio", "Turns of the motor per turn of the axis", ("motor", "pendulum", "wheel")),
+    ("rotor_inertia", "Moment of inertia of a motor's rotor, kg m^2", (*WITH_ENCODERS, "printer")),
+    ("Kt", "Torque constant of the motors, Nm/A", WITH_ENCODERS),
+    ("resistance", "Resistance of a motor, ohm", WITH_ENCODERS),
+    ("rated_voltage", "Rated voltage, V", WITH_ENCODERS),
+    ("encoder_lines", "Lines of the encoders on the motors (0: none)", WITH_ENCODERS),
+)
 # m of rest length per m of travel along x and y: the frame grows with the travel, and with it the belts.
 _LENGTH_PER_TRAVEL = {
     "left": (1.5, 0.5),
@@ -39,20 +65,36 @@ _KINEMATICS = {
     "axis": "One axis: the motor moves the carriage directly, gear_ratio is the angle of its shaft per m of travel.",
     "belt-axis": "Belt axis: a belt between the motor's pulley and an idler moves the carriage, x = radius * phi.",
     "corexy": "CoreXY: one belt per motor. With p = radius * phi: x = (p1 + p2) / 2 and y = (p1 - p2) / 2.",
+    "printer": "CoreXY printer: one belt per motor. With p = radius * phi: x = (p1 + p2) / 2 and y = (p1 - p2) / 2.",
+    "motor": "A motor: angles count in the direction of a positive voltage. Without a range it may turn freely.",
+    "pendulum": "A pendulum: the effect `unbalance` is its weight, A sin(angle + p); it hangs at the angle 0.",
+    "wheel": "A wheel behind a gear motor: angles are those of the wheel, the recorded command is a duty cycle.",
+    "servo": "A servo: the recorded command is the angle that it shall take, and 0 is the middle of its range.",
 }
+_COREXY = ("corexy", "printer")
+_AXES_OF_TURNING = {"motor": "shaft", "pendulum": "arm", "wheel": "wheel", "servo": "horn"}
+_CARRIAGE = "The carriage. mass: everything that moves, plus gear_ratio^2 times the inertia of the rotor."
+_SHAFT = (
+    "What turns. mass: moment of inertia of everything that turns, plus gear_ratio^2 times that of the rotor. viscous: "
+    "without the back-EMF, which follows from Ke. Optional: range, [lowest, highest] angle, rad."
+)
 _COORDINATE_COMMENTS = {
     ("hframe", "x"): "The bridge. mass: everything that moves along x, i.e. bridge, cart and tool.",
     ("hframe", "y"): "The cart on the bridge. mass: everything that moves along y, i.e. cart and tool.",
-    (
-        "axis",
-        "x",
-    ): "The carriage. mass: everything that moves, plus gear_ratio^2 times the inertia of the rotor.",
-    ("belt-axis", "x"): "The carriage. mass: everything that moves along x, i.e. carriage and tool.",
-    (
-        "corexy",
-        "x",
-    ): "The carriage on the bridge. mass: everything that moves along x, i.e. carriage and tool.",
-    ("corexy", "y"): "The bridge. mass: everything that moves along y, i.e. bridge, carriage and tool.",
+    ("axis", "x"): _CARRIAGE,
+    ("belt-axis", "x"): "The carriage. mass: everything that moves with it, without motor and pulley.",
+    **{
+        (
+            name,
+            "x",
+        ): "The carriage on the bridge. mass: everything that moves along x, i.e. carriage and tool."
+        for name in _COREXY
+    },
+    **{
+        (name, "y"): "The bridge. mass: everything that moves along y, i.e. bridge, carriage and tool."
+        for name in _COREXY
+    },
+    **dict.fromkeys(_AXES_OF_TURNING.items(), _SHAFT),
 }
 _PULLEY_COMMENT = (
     "The pulley of a motor, behind the gear. mass: moment of inertia of the pulley, plus gear_ratio^2 times that of "
@@ -66,10 +108,25 @@ _DRIVE_COMMENT = (
     "A DC motor; channel is the column of its voltage in the recordings. Kt and Ke are equal in SI units. resistance: "
     "between the terminals, cables included. Optional: current_limit (A), delay (s), converter_bits, voltage_range (V)."
 )
+_DUTY_COMMENT = (
+    "A DC motor on a bridge; channel is the column of the duty cycle, -1 to 1, in the recordings. rated_voltage: the "
+    "supply; supply: column of a measured one, V. Kt and Ke are equal in SI units. Optional: current_limit (A)."
+)
+_SET_POINT_COMMENT = (
+    "A drive that follows a commanded angle; channel is its column in the recordings. Torque of the motor shaft: "
+    "speed_gain * (speed wanted - speed), at most torque_limit; speed wanted: position_gain * (command - angle), at "
+    "most speed_limit. A stepper motor: position_gain * speed_gain = pole pairs * holding torque. rated_position: "
+    "largest command of the environment. `hframe identify` estimates the gains."
+)
 _ENCODER_COMMENT = (
     "An incremental encoder. resolution: 2 pi / (4 * lines * gear_ratio) for one on the motor shaft; noise: 0 if it is "
     "below the resolution."
 )
+_DRIVE_COMMENTS = {
+    "voltage": _DRIVE_COMMENT,
+    "duty-cycle": _DUTY_COMMENT,
+    "position": _SET_POINT_COMMENT,
+}
 _LASER_COMMENT = (
     "A sensor with a fixed zero. noise: standard deviation at rest; resolution: 0 for an analog sensor."
 )
@@ -81,13 +138,13 @@ class MachineOptions:
 
     Attributes:
         travel: Length of the workspace along x and y (an axis: along x only), m.
-        mass: Moving masses along x and y (an axis: along x only), kg.
+        mass: Moving masses along x and y (an axis: along x only), kg; of a rotary axis the moment of inertia, kg m^2.
         pulley_radius: Pitch radius of the motors' pulleys, m. With the template "axis", the gear ratio of the drive
             (rad of the motor per m) becomes gear_ratio / pulley_radius, where a `gear_ratio` of None counts as 1.
         gear_ratio: Turns of the motor per turn of the pulley. With the template "axis" and without `pulley_radius`:
             angle of the motor per travel of the carriage, rad/m.
         rotor_inertia: Moment of inertia of a motor's rotor, kg m^2. gear_ratio^2 * rotor_inertia replaces the moment of
-            inertia of the driven pulleys; with the template "axis", it is added to the mass of the carriage.
+            inertia of the driven pulleys; it is added to the mass of a carriage or shaft that the motor moves directly.
         Kt: Torque constant of the motors, Nm/A; Ke becomes the same, in Vs/rad.
         resistance: Resistance of the motors, ohm.
         rated_voltage: Rated voltage of the motors, V.
@@ -138,6 +195,8 @@ def new_machine(like: str, name: str, options: MachineOptions) -> Machine:
     machine = _with_masses(machine, options)
     gear_ratios = {d.coordinate: d.gear_ratio for d in BUILTIN_MACHINES[like]().drives}
     machine = machine.replace(sensors=_sensors(machine, gear_ratios, options))
+    if like == "printer":
+        machine = machine.replace(drives=tuple(_reaching(machine, d) for d in machine.drives))
     if not machine.sensors:
         raise InputError(
             "no sensor is left: give the lines of encoders (--encoder-lines), or keep the linear sensor"
@@ -158,6 +217,9 @@ def write_machine_template(like: str, machine: Machine, path: Path) -> None:
         OSError: If the file cannot be written.
     """
     content = machine_to_dict(machine)
+    for entry in content["coordinates"]:
+        if like in TURNING:  # no belt runs on it
+            del entry["radius"]
     first = [
         "Machine description of hframe_gym. All values are in SI units; docs/machine.md describes every field.",
         _KINEMATICS[like],
@@ -167,7 +229,7 @@ def write_machine_template(like: str, machine: Machine, path: Path) -> None:
     comments = {
         "coordinates": lambda entry: _COORDINATE_COMMENTS.get((like, entry["name"]), _PULLEY_COMMENT),
         "belts": lambda entry: _BELT_COMMENT,
-        "drives": lambda entry: _DRIVE_COMMENT,
+        "drives": lambda entry: _DRIVE_COMMENTS[entry.get("kind", "voltage")],
         "sensors": lambda entry: _ENCODER_COMMENT if entry["kind"] == "encoder" else _LASER_COMMENT,
     }
     for key, comment in comments.items():
@@ -215,7 +277,14 @@ def _commented(
 
 def _check(like: str, options: MachineOptions) -> None:
     """Check that options are positive and fit the template."""
-    axes = len(BUILTIN_MACHINES[like]().tool_axes)
+    applies = {option for option, _, templates in TEMPLATE_QUESTIONS if like in templates} | {"values"}
+    applies |= {"linear_sensor"} if like in WITH_CARRIAGES else set()
+    for info in dataclasses.fields(options):
+        if info.name not in applies and getattr(options, info.name) not in (info.default, None):
+            raise InputError(
+                f"--{info.name.replace('_', '-')}: {like} has none; see `hframe machines new --help`"
+            )
+    axes = 2 if like in PLANAR else 1
     for name in ("travel", "mass"):
         values = getattr(options, name)
         if values is not None and len(values) != axes:
@@ -226,11 +295,9 @@ def _check(like: str, options: MachineOptions) -> None:
     for info in dataclasses.fields(options):
         value = getattr(options, info.name)
         numbers = value if isinstance(value, tuple) else (value,) if isinstance(value, int | float) else ()
-        # The mass of an axis may include the rotor; the inertia of a pulley must be positive.
-        zero_allowed = (info.name, like) == ("rotor_inertia", "axis") or info.name in (
-            "encoder_lines",
-            "linear_sensor",
-        )
+        # A mass may include the rotor; the inertia of a pulley must be positive.
+        direct = info.name == "rotor_inertia" and like in ("axis", *TURNING)
+        zero_allowed = direct or info.name in ("encoder_lines", "linear_sensor")
         for number in numbers:
             if not math.isfinite(number) or number < 0 or (number == 0 and not zero_allowed):
                 raise InputError(f"--{info.name.replace('_', '-')} {number:g}: must be positive")
@@ -275,18 +342,26 @@ def _drive(machine: Machine, drive: Drive, options: MachineOptions) -> Drive:
     return dataclasses.replace(drive, **new)  # type: ignore[arg-type]
 
 
+def _reaching(machine: Machine, drive: Drive) -> Drive:
+    """Return a drive of positions whose largest command is the angle in the farthest corner of the workspace, rad."""
+    per_axis = rest_positions_per_axis(machine)[machine.coordinate_names.index(drive.coordinate)]
+    corner = [max(map(abs, limits)) if limits else 0.0 for limits in machine.axis_ranges]
+    return dataclasses.replace(drive, rated_voltage=float(math.ceil(abs(per_axis) @ corner)))
+
+
 def _with_masses(machine: Machine, options: MachineOptions) -> Machine:
     """Return a machine with other masses, pulleys and rotors."""
-    mass = dict(zip(("x", "y"), options.mass or (), strict=False))
+    mass = dict(zip(machine.tool_axes, options.mass or (), strict=False))
     coordinates = []
     for c in machine.coordinates:
         new: dict[str, float] = {"mass": mass[c.name]} if c.name in mass else {}
-        if c.kind == "rotary" and options.pulley_radius is not None:
+        is_pulley = c.kind == "rotary" and c.name not in machine.tool_axes
+        if is_pulley and options.pulley_radius is not None:
             new["radius"] = options.pulley_radius
         drives = [d for d in machine.drives if d.coordinate == c.name]
         if drives and options.rotor_inertia is not None:
             reflected = drives[0].gear_ratio ** 2 * options.rotor_inertia
-            new["mass"] = reflected if c.kind == "rotary" else mass.get(c.name, c.mass) + reflected
+            new["mass"] = reflected if is_pulley else mass.get(c.name, c.mass) + reflected
         coordinates.append(dataclasses.replace(c, **new))  # type: ignore[arg-type]
     return machine.replace(coordinates=tuple(coordinates))
 

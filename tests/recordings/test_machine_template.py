@@ -11,6 +11,7 @@ import pytest
 
 from hframe_gym.dynamics import mode_frequencies
 from hframe_gym.errors import InputError
+from hframe_gym.evaluation import evaluate
 from hframe_gym.machine import BUILTIN_MACHINES, rigid_motions
 from hframe_gym.recordings import TEMPLATES, MachineOptions, load_machine, new_machine, write_machine_template
 
@@ -111,11 +112,50 @@ def test_an_axis_with_a_pulley_a_rotor_and_an_encoder_only() -> None:
     assert both.output_channels == ("x_encoder_m", "x_m")
 
 
+def test_options_of_a_motor_with_a_gear_and_of_a_wheel() -> None:
+    machine = new_machine("motor", "mine", MachineOptions(mass=(3e-4,), gear_ratio=10.0, rotor_inertia=1e-6))
+    assert machine.coordinate("shaft").mass == pytest.approx(4e-4)
+    assert machine.sensor("shaft_rad").resolution == pytest.approx(2 * math.pi / (2000 * 10))
+    wheel = new_machine("wheel", "mine", MachineOptions(encoder_lines=12, rated_voltage=12.0))
+    assert wheel.drives[0].kind == "duty-cycle"
+    assert wheel.sensor("wheel_rad").resolution == pytest.approx(2 * math.pi / (48 * 30))
+
+
+def test_the_drives_of_a_printer_reach_the_corners_of_its_travel_and_those_of_a_belt_axis_its_ends() -> None:
+    printer = new_machine("printer", "mine", MachineOptions(travel=(0.2, 0.2), pulley_radius=0.01))
+    assert [d.rated_voltage for d in printer.drives] == [20.0, 20.0]  # rad; 0.1 m + 0.1 m of belt
+    axis = new_machine("belt-axis", "mine", MachineOptions(travel=(1.0,), mass=(2.0,), rotor_inertia=3e-5))
+    assert axis.coordinate("x").range == (-0.5, 0.5)
+    assert (axis.coordinate("x").mass, axis.coordinate("phi").mass) == (2.0, 3e-5)
+    assert [b.rest_length for b in axis.belts] == pytest.approx([0.55, 1.55])
+    assert set(rigid_motions(axis)) == {"x"}
+
+
+@pytest.mark.parametrize("name", ["belt-axis", "printer", "motor", "pendulum", "wheel", "servo"])
+def test_a_preset_reaches_its_goals_with_the_controller_for_its_drives(name: str) -> None:
+    controller = "set-point" if name in ("printer", "servo") else "pid"
+    period = 0.01 if name in ("motor", "pendulum", "wheel", "servo") else 0.002  # belts vibrate
+    result = evaluate(controller, name, randomize="none", episodes=8, period=period)
+    scores = result.scores["controllers"][controller]
+    widest = next(iter(scores["success"]))
+    # A servo without integral action stops up to 25 mrad from its goal: friction over its stiffness, 0.01 / 0.4 rad.
+    errors = scores.get("final_error_mrad", scores.get("final_error_mm"))
+    assert scores["success"][widest] == 1.0 or (name == "servo" and errors["mean"] < 25.0)
+
+
 @pytest.mark.parametrize(
     ("like", "options", "message"),
     [
-        ("delta", {}, "choose one of hframe, axis, belt-axis, corexy"),
+        (
+            "delta",
+            {},
+            "choose one of hframe, corexy, printer, axis, belt-axis, motor, pendulum, wheel, servo",
+        ),
         ("corxy", {}, "did you mean 'corexy'?"),
+        ("motor", {"travel": (1.0,)}, "--travel: motor has none"),
+        ("servo", {"Kt": 0.1}, "--Kt: servo has none"),
+        ("wheel", {"mass": (1e-3, 1e-3)}, "--mass: wheel needs 1 value,"),
+        ("printer", {"encoder_lines": 100}, "--encoder-lines: printer has none"),
         ("corexy", {"travel": (0.3,)}, "--travel: corexy needs 2 values"),
         ("axis", {"mass": (1.0, 2.0)}, "--mass: axis needs 1 value,"),
         ("corexy", {"Kt": -1.0}, "--Kt -1: must be positive"),
