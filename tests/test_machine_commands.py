@@ -19,7 +19,7 @@ import pytest
 
 from hframe_gym import cli
 from hframe_gym.machine import BUILTIN_MACHINES
-from hframe_gym.recordings import load_machine, save_machine
+from hframe_gym.recordings import load_machine, machine_to_dict, save_machine
 
 pytestmark = pytest.mark.integration
 
