@@ -115,7 +115,7 @@ _DUTY_COMMENT = (
 _SET_POINT_COMMENT = (
     "A drive that follows a commanded angle; channel is its column in the recordings. Torque of the motor shaft: "
     "speed_gain * (speed wanted - speed), at most torque_limit; speed wanted: position_gain * (command - angle), at "
-    "most speed_limit. A stepper motor: position_gain * speed_gain = pole pairs * holding torque. rated_position: "
+    "most speed_limit. A stepper: position_gain * speed_gain = 50 * holding torque. rated_position: "
     "largest command of the environment. `hframe identify` estimates the gains."
 )
 _ENCODER_COMMENT = (
