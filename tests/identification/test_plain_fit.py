@@ -128,7 +128,8 @@ def test_what_is_left_is_described_in_simulation_without_naming_a_cause() -> Non
 
 def test_a_description_ends_where_the_voltages_change_between_rows() -> None:
     """The controller is four times as fast as the log, and a spring is missing; no search begins again here."""
-    true = axis(TRUE).with_effects(EFFECTS["cable_spring"].at("x", k=20.0, q0=0.0))
+    declared = BUILTIN_MACHINES["axis"]()
+    true = declared.with_effects(EFFECTS["cable_spring"].at("x", k=20.0, q0=0.0))
     time_s = np.arange(2400) * 0.25e-3
     recordings = []
     for k in range(2):
@@ -138,8 +139,8 @@ def test_a_description_ends_where_the_voltages_change_between_rows() -> None:
         outputs = true.simulate(time_s, inputs[:, None]).outputs[::4]
         outputs = outputs + np.random.default_rng(k).normal(0.0, 2e-5, outputs.shape)
         recordings.append(Recording(f"run_{k}", time_s[::4], inputs[::4, None], outputs))
-    data = prepare(recordings, axis(TRUE))
-    plain = plain_fit(axis(TRUE), data)
+    data = prepare(recordings, declared)
+    plain = plain_fit(declared, data)
     assert plain is not None
     lines: list[str] = []
     assert describe_remainder(plain.simulated, data, SelectionCriteria(), lines.append, Budget()) is None
