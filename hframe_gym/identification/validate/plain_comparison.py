@@ -123,14 +123,15 @@ def _compared(
         described = _described(evaluated, plain, base, log, budget)
         if described is not None:
             return result, *described
-    if not is_worse(evaluated.after):
-        return result, evaluated, ""
-    if outcome.selected:  # their parameters were fitted to short predictions
+    ratio = error_ratio(evaluated.after, reference)
+    if outcome.selected and ratio > 1.0:  # their parameters were fitted to short predictions
         after = refined_equally(outcome.after, outcome.data)
         selected = tuple(s.with_values(after.machine) for s in outcome.selected)
         again = test.evaluate(outcome._replace(after=after, selected=selected))
-        if not is_worse(again.after):
+        if error_ratio(again.after, reference) < ratio and not is_worse(again.after):
             return result, again, _REFINED
+    if not is_worse(evaluated.after):
+        return result, evaluated, ""
     sentence = _PLAIN_DELIVERED.format(
         error_ratio(evaluated.after, reference), ", ".join(plain.terms) or "none"
     )
