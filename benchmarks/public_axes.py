@@ -1,12 +1,13 @@
 """Is a user with real logs ever worse off than with a plain fit? Public recordings of motors and axes.
 
-    python -m benchmarks.public_axes                          # all four
+    python -m benchmarks.public_axes                          # all whose recordings are there
     python -m benchmarks.public_axes --only odrive --log      # some of them; nothing is written
 
-The recordings are those of $HFRAME_DATA/public_axes; without them, the benchmark says so and ends. Each folder has
-``runs`` and the ``machine.json`` that a newcomer wrote. The error to beat is that of an inverse-dynamics fit, refined
-as an output-error fit of inertia, viscous and dry friction and an offset, which somebody else computed on the same
-held-out runs. No licenses permit shipping the recordings.
+The recordings are those of $HFRAME_DATA/public_axes, a folder with ``runs`` for each set; for a set without them, the
+benchmark says how to get and convert its logs. The machine file is that of a newcomer, in the folder or in
+``benchmarks/machines``. The error to beat is that of an inverse-dynamics fit, refined as an output-error fit of
+inertia, viscous and dry friction and an offset, computed without this package on the same held-out runs. No licenses
+permit shipping the recordings.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.real_machines.study import MACHINES
 from benchmarks.results_file import data_root, write_results
 from hframe_gym.identification import identify
 from hframe_gym.identification.validate.machine_errors import ModelEvaluation
@@ -36,14 +38,31 @@ class PublicSet(NamedTuple):
         source: Where it was published.
         held_out: Runs to evaluate on; empty for the default.
         plain_error: Error of the fit to beat on these runs, in the unit of the sensor.
+        file: Name of the machine file in ``benchmarks/machines``; empty if it is in the folder of the recordings.
+        logs: Logs in the repository.
+        options: Options of `hframe import` for them.
     """
 
     machine: str
     source: str
     held_out: tuple[str, ...]
     plain_error: float
+    file: str = ""
+    logs: str = ""
+    options: str = ""
+
+    def recipe(self, runs: Path) -> str:
+        """Return how to get and convert the logs of the set; "" for a set that has no recipe."""
+        if not self.file:
+            return ""
+        machine = f"benchmarks/machines/{self.file}.json"
+        return (
+            f"copy {self.logs} of github.com/{self.source} into a folder LOGS, and call: "
+            f"hframe import LOGS --machine {machine} --out {runs} {self.options}"
+        )
 
 
+_LEFT_SIDE = "--map 'u_V=l voltage [V]' --map 'x_m=l position [m]'"
 SETS = {
     "swerve": PublicSet("drive of a swerve robot", "Eaglestrike/2023-RobotCode", (), 0.0142),
     "odrive": PublicSet(
@@ -55,6 +74,69 @@ SETS = {
         "Piyushiitk24/dc-motor-signed-bias-deadzone-id-control",
         ("run_minimal_05", "run_minimal_07"),
         7.46,
+    ),
+    "frc_flywheel": PublicSet(
+        "flywheel of an FRC robot",
+        "calcmogul/SysIdOpt",
+        (),
+        29.3,
+        "frc_flywheel",
+        "sysid_data.json",
+        "--map 'u_V=voltage [V]' --map 'angle_rad=position [rad]'",
+    ),
+    "frc_shooter": PublicSet(
+        "shooter of an FRC robot",
+        "STMARobotics/frc-7028-2022",
+        (),
+        10.0,
+        "frc_shooter",
+        "sysid/ShooterData/sysid_data20220309-190419.json",
+        "--map 'u_V=voltage [V]' --map 'angle_rad=position [rev]'",
+    ),
+    "frc_drivetrain": PublicSet(
+        "drivetrain of an FRC robot",
+        "MiamiBeachBots/base-bot",
+        (),
+        0.103,
+        "frc_drivetrain",
+        "sysid_data.json",
+        _LEFT_SIDE,
+    ),
+    "frc_drivetrain_2022": PublicSet(
+        "drivetrain of an FRC robot",
+        "STMARobotics/frc-7028-2022",
+        (),
+        0.186,
+        "frc_drivetrain",
+        "sysid/DrivetrainData/sysid_data20220317-195249.json",
+        _LEFT_SIDE,
+    ),
+    "frc_drivetrain_2023": PublicSet(
+        "drivetrain of an FRC robot",
+        "STMARobotics/frc-7028-2023",
+        (),
+        0.611,
+        "frc_drivetrain",
+        "sysid/drivetrain/sysid_data20230221-172941.json",
+        _LEFT_SIDE,
+    ),
+    "coarse_encoder": PublicSet(
+        "geared motor in a position loop, encoder of 3.5 degrees",
+        "gkeiel/dc_motor_position_control",
+        (),
+        0.590,
+        "coarse_encoder",
+        "the nine data*.csv, each named after its folder,",
+        "--map 'u_V=Channel 4' --unit u_V=% --map 'angle_rad=Channel 2' --unit angle_rad=deg --map time_s=500Hz",
+    ),
+    "crane_trolley": PublicSet(
+        "trolley of a crane, speed alone",
+        "prj-phcp/SYSID_Atividades",
+        (),
+        0.0284,
+        "crane_trolley",
+        "Atividade05/matlab/Contsid/Contsid7_3/crane.mat",
+        "--map u_V=u2 --map x_m_s=y2.1 --map time_s=100Hz --split-every 6",
     ),
 }
 
@@ -70,7 +152,8 @@ def run_set(folder: Path, public: PublicSet, *, log: bool = False) -> dict[str, 
     Returns:
         The row of the results, as plain data.
     """
-    declared = load_machine(str(folder / "machine.json"))
+    file = MACHINES / f"{public.file}.json" if public.file else folder / "machine.json"
+    declared = load_machine(str(file))
     recordings = load_recordings(folder / "runs", declared)
     began = time.process_time()
 
@@ -138,12 +221,15 @@ def main() -> None:
     parser.add_argument("--log", action="store_true", help="print the progress of each identification")
     arguments = parser.parse_args()
     data = data_root() / "public_axes"
-    if not data.is_dir():
-        sys.exit("skipped: no folder public_axes in $HFRAME_DATA")
     console, rows = Console(width=170), []
     for name in arguments.only or SETS:
+        if not (data / name / "runs").is_dir():
+            print(f"skipped: no folder {data / name / 'runs'}. {SETS[name].recipe(data / name / 'runs')}")
+            continue
         rows.append(run_set(data / name, SETS[name], log=arguments.log))
         console.print(json.dumps(rows[-1]), highlight=False, markup=False, soft_wrap=True)
+    if not rows:
+        sys.exit("no recordings in $HFRAME_DATA/public_axes")
     show(console, rows)
     if not arguments.only:
         write_results("public_axes", {"sets": rows}, seed=None)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
+from benchmarks.public_axes import SETS
 from benchmarks.real_machines import ced, printers, xl330
 from benchmarks.real_machines.study import MACHINES
 from hframe_gym.recordings import load_machine, load_recordings
@@ -58,3 +59,14 @@ def test_peaks_of_a_damped_oscillator() -> None:
     peaks = printers.peaks(f, mode(40.0, 0.05) + 0.3 * mode(90.0, 0.03))
     assert [p[0] for p in peaks] == pytest.approx([40.0, 90.0], abs=0.5)
     assert [p[1] for p in peaks] == pytest.approx([0.05, 0.03], rel=0.15)
+
+
+@pytest.mark.parametrize("name", [name for name, public in SETS.items() if public.file])
+def test_public_sets_say_how_their_logs_are_imported(name: str) -> None:
+    """The recipe maps each channel of the machine file, so that it can be pasted."""
+    public = SETS[name]
+    recipe = public.recipe(Path("runs"))
+    machine = load_machine(MACHINES / f"{public.file}.json")
+    assert f"--machine benchmarks/machines/{public.file}.json --out runs" in recipe
+    for channel in (*machine.input_channels, *machine.output_channels):
+        assert f"{channel}=" in recipe
