@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from ..dynamics import resolved_step, rollout
 from ..identification import Dataset, PreparedRecording
 from ..machine import Machine, Sensor
+from ..preparation.force_balance import EXPLAINED, Balance
 from ..recordings import bridge_blanks, comparison_window
 from .findings import Finding, channel_unit
-from .force_balance import EXPLAINED, Balance
 from .wiring import declared_balance, rigid_prediction
 
 Array = NDArray[np.float64]

@@ -17,18 +17,15 @@ from numpy.typing import NDArray
 
 from ..identification import Dataset, PreparedRecording
 from ..machine import Machine, rigid_motions
+from ..preparation.force_balance import EXPLAINED, SPANS, Balance, explains_instead, force_balance
 from ..preparation.motion_windows import motion_windows
 from ..recordings import comparison_window
 from .findings import Finding
-from .force_balance import EXPLAINED, Balance, force_balance
 
 Array = NDArray[np.float64]
 
-_WINDOWS = (0.02, 0.05, 0.1, 0.2)  # s; windows of the balance of forces
 # Fractions of the squared force of the drives, or of the squared motion, as `EXPLAINED`.
 _UNEXPLAINED = 0.5  # more is unexplained by inputs or a machine of another recording
-_IMPROVEMENT = 0.1  # minimum reduction by a correction that is reported
-_CLEARLY_LESS = 1 / 3  # maximum remaining fraction of what the declared wiring does not explain
 _TIE = 0.02  # corrections that differ by less are equally likely
 
 
@@ -195,7 +192,7 @@ def _signs_and_swaps(runs: Sequence[PreparedRecording], machine: Machine) -> lis
     if declared is None:
         return []
     best = min((explanation.unexplained for explanation in corrected.values()), default=np.inf)
-    if best < declared.unexplained - _IMPROVEMENT and best < _CLEARLY_LESS * declared.unexplained:
+    if explains_instead(best, declared.unexplained):
         likely = " or ".join(label for label, each in corrected.items() if each.unexplained < best + _TIE)
         if best < EXPLAINED:
             remedy = "correct the columns of the file, or the declaration in machine.json"
@@ -226,7 +223,7 @@ def _explanations(
     wirings |= {label: (of_outputs, matrix) for label, matrix in input_corrections.items()}
     chosen: dict[str, _Explanation] = {}
     least = np.inf
-    for window in _WINDOWS:
+    for window in SPANS:
         windows = [motion_windows(r, comparison_window(r.outputs, r.time_s, window)) for r in runs]
         speeds = np.concatenate([w.velocity for w in windows])
         explanations: dict[str, _Explanation] = {}

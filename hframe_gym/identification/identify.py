@@ -16,6 +16,7 @@ from ..distributed import single_threaded_linear_algebra
 from ..errors import InputError
 from ..machine import Machine
 from ..preparation.division import divide_runs
+from ..preparation.drive_signs import turned_coordinates, with_turned
 from ..preparation.session import prepare_session
 from ..recordings import Recording
 from ..registry import load_plugins
@@ -28,6 +29,12 @@ from .report.result import IdentificationResult
 from .search.checked_search import find_effects
 from .validate.evaluation import HeldOutTest, judged
 from .validate.plain_comparison import at_least_plain
+
+_TURNED = (
+    "A positive command moves {} against the direction in which its sensors count: with positive inertia and friction, "
+    "the motion follows from the commands only that way round. The machines here count its sensors the other way "
+    "(negative factors in `row`)."
+)
 
 
 @single_threaded_linear_algebra()  # the result depends on no number of threads
@@ -78,6 +85,13 @@ def identify(
     # Prepare: which runs are fitted, and what of them can be used.
     held_names = divide_runs(recordings, held_out)
     session = prepare_session(recordings, machine, criteria, log)
+    turned = turned_coordinates(machine, session.data.runs)
+    statements = tuple(map(_TURNED.format, turned))
+    if turned:
+        machine = with_turned(machine, turned)
+        session = prepare_session(recordings, machine, criteria, log)
+        for statement in statements:
+            log(statement)
 
     # Refit, then propose effects, fit them, gather evidence and judge it, until none passes: in the fitted runs.
     found = find_effects(
@@ -89,6 +103,8 @@ def identify(
         log=log,
         budget=budget,
     )
+
+    found = found._replace(messages=(*statements, *found.messages))
 
     # Validate: the held-out runs judge the verdict and the names, and nothing worse than a plain fit is delivered.
     test = HeldOutTest(machine, session, found.held_out, criteria)

@@ -21,13 +21,17 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from ..machine import Machine
-from ..preparation.motion_windows import MotionWindows, force_equations, leading_motions
+from .motion_windows import MotionWindows, force_equations, leading_motions
 
 Array = NDArray[np.float64]
 
 # Fraction of the squared force of the drives, or of the squared motion, below which a motion is explained. On 33
 # recorded and simulated sets of right wiring, at most 0.05 is unexplained; with one wrong sign, 0.1 to 1.
 EXPLAINED = 0.2
+# Another wiring takes the place of the declared one if it leaves this much less, as a fraction of the squared force,
+# and at most this fraction of what the declared one leaves.
+IMPROVEMENT, CLEARLY_LESS = 0.1, 1 / 3
+SPANS = (0.02, 0.05, 0.1, 0.2)  # s, windows of the balance of forces
 
 
 class Balance(NamedTuple):
@@ -43,6 +47,16 @@ class Balance(NamedTuple):
     unexplained: float
     inertia: Array
     viscous: Array
+
+
+def explains_instead(unexplained: float, declared: float) -> bool:
+    """Decide whether another wiring clearly explains more of the motion than the declared one.
+
+    Args:
+        unexplained: Fraction that the other wiring leaves unexplained, from 0 to 1.
+        declared: Fraction that the declared wiring leaves unexplained.
+    """
+    return unexplained < declared - IMPROVEMENT and unexplained < CLEARLY_LESS * declared
 
 
 def force_balance(

@@ -1,0 +1,71 @@
+"""Directions of the drives: coordinates that a positive command moves against the count of their sensors.
+
+The command of a motor with swapped wires, or of a bridge that is mounted the other way round, moves its coordinate
+backwards. The balance of forces tells (`force_balance`): with positive inertia and friction, and any spring, weight
+and offset, no machine explains such a motion, and it does if the sensors count the other way. The rule is that of
+`hframe check`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from itertools import combinations
+
+import numpy as np
+
+from ..machine import Machine, Sensor
+from ..recordings import comparison_window
+from .dataset import PreparedRecording
+from .force_balance import EXPLAINED, SPANS, explains_instead, force_balance
+from .motion_windows import motion_windows
+
+
+def turned_coordinates(machine: Machine, runs: Sequence[PreparedRecording]) -> tuple[str, ...]:
+    """Find the coordinates whose drives move them in the other direction than declared.
+
+    Args:
+        machine: Machine as declared. With belts, the direction of a coordinate depends on others, and with effects on
+            sensors, their parameters would have to turn as well: none is found then.
+        runs: Prepared runs.
+
+    Returns:
+        Names of the coordinates; none if the motion is explained as declared, or with no directions.
+    """
+    driven = tuple(dict.fromkeys(d.coordinate for d in machine.drives))
+    of_sensors = any(e.definition.site == "sensor" for e in machine.effects)
+    if machine.belts or of_sensors or not driven:
+        return ()
+    of_inputs = np.eye(len(machine.drives))
+    for span in SPANS:  # short windows see fast motion, long ones suppress noise
+        windows = [motion_windows(run, comparison_window(run.outputs, run.time_s, span)) for run in runs]
+        declared = force_balance(windows, machine, np.eye(len(machine.sensors)), of_inputs)
+        if declared is None or declared.unexplained < EXPLAINED:
+            return ()
+        left: dict[tuple[str, ...], float] = {}
+        for count in range(1, len(driven) + 1):
+            for names in combinations(driven, count):
+                signs = np.diag([-1.0 if _counts(machine, s, names) else 1.0 for s in machine.sensors])
+                balance = force_balance(windows, machine, signs, of_inputs)
+                left[names] = np.inf if balance is None else balance.unexplained
+        best = min(left, key=lambda names: left[names])
+        if left[best] < EXPLAINED and explains_instead(left[best], declared.unexplained):
+            return best
+    return ()
+
+
+def with_turned(machine: Machine, coordinates: Sequence[str]) -> Machine:
+    """Return a machine whose sensors of some coordinates count the other way."""
+    sensors = tuple(
+        dataclasses.replace(s, row={name: -factor for name, factor in s.row.items()})
+        if _counts(machine, s, coordinates)
+        else s
+        for s in machine.sensors
+    )
+    return machine.replace(sensors=sensors)
+
+
+def _counts(machine: Machine, sensor: Sensor, coordinates: Sequence[str]) -> bool:
+    """Return whether a sensor measures the motion of one of the coordinates with its direction."""
+    signed = sensor.of_position or sensor.of_velocity or sensor.quantity == "acceleration"
+    return signed and machine.coordinate_of_sensor(sensor) in coordinates
