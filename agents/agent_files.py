@@ -68,6 +68,7 @@ class _Actuation(_Table):
     full_at_m: Positive = 5e-3
     full_at_m_s: Positive = 0.2
     estimates: bool = False
+    integral: bool = False
     transfers: Annotated[list[Annotated[int, Field(ge=0, le=1000)]], Field(max_length=100)] = []
     plans: Annotated[list[Annotated[int, Field(ge=1, le=1000)]], Field(max_length=100)] = []
     hold_m: Annotated[FiniteFloat, Field(ge=0.0, le=1e3)] = 0.0

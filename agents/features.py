@@ -42,6 +42,7 @@ from ..machine import RADIANS, Machine, observed_coordinates, rest_positions_per
 
 ERROR_SCALES = (1e-1, 1e-2, 1e-3, 1e-4)  # m
 SPEED_SCALES = (0.3, 0.02)  # m/s
+INTEGRAL_SCALES = (1e-5, 1e-6)  # m s; an error of 0.1 mm in ten control periods of 10 ms, and in one
 STRETCH_SCALES = (1e-3, 1e-4)  # m
 # Fractions of the rated voltage: full voltage, and about the voltage that overcomes Coulomb friction.
 ACTION_SCALES = (1.0, 0.03)
@@ -55,6 +56,7 @@ EXTRAPOLATION_S = 0.01  # s; the default control period, also used with others
 LARGEST_ERROR = 0.5  # m
 LARGEST_SPEED = 1.5  # m/s
 LARGEST_STRETCH = 0.01  # m
+LARGEST_INTEGRAL = 1e-4  # m s
 
 # Variants of the machine for which transfers are also designed: factors on its belt stiffness and on its masses.
 VARIANTS = ((0.7, 0.95), (0.7, 1.15), (1.3, 0.95), (1.3, 1.15))
@@ -74,6 +76,7 @@ OBSERVATION_KEYS = (
     "base_action",
     "expected_friction",
     "estimates",
+    "error_integral",
 )
 
 
@@ -227,6 +230,11 @@ def feature_matrix(
         blocks.append(_scaled_columns(columns, FRICTION_VOLTAGE_SCALES, FRICTION_VOLTAGE_SCALES[0]))
     if "estimates" in selectors:
         blocks.append(_scaled_columns(selectors["estimates"], (ESTIMATE_SCALE,), LARGEST_ESTIMATE))
+    if "error_integral" in selectors:
+        integral = selectors["error_integral"]
+        blocks.append(
+            _scaled_columns(np.hstack([integral, integral @ rest.T]), INTEGRAL_SCALES, LARGEST_INTEGRAL)
+        )
     if gains:
         volts = np.sum([selectors[key] @ np.transpose(values) for key, values in gains.items()], axis=0)
         blocks.append(_scaled_columns(volts, TRANSFER_SCALES, LARGEST_TRANSFER))

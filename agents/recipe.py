@@ -15,7 +15,7 @@ from ..machine import METERS, AxisUnit, Machine
 ALGORITHMS = ("ppo", "sac", "tqc", "crossq", "apg")
 # Options of the environment that a recipe cannot set: `train` sets the first two, and the features of policies expect a
 # dict of observations in SI units.
-FIXED_OPTIONS = ("machine", "task", "normalize", "flat")
+FIXED_OPTIONS = ("machine", "task", "normalize", "flat", "error")
 
 
 @dataclass(frozen=True)
@@ -55,6 +55,8 @@ class Recipe:
         task: Keyword arguments of the task class.
         actuation: Keyword arguments of `ResidualAction`, which converts the policy's outputs to actions; if empty, the
             outputs are the actions.
+        exploration: `log_std`, a pair: the logarithm of the standard deviation of PPO's exploration noise, which changes
+            linearly from the first value to the second over the run instead of being learned; if empty, it is learned.
         hindsight: Keyword arguments of `HerReplayBuffer`; if empty, the replay buffer is the algorithm's default.
         features: Keyword arguments of `feature_parameters` beside machine and period.
         start: Name of an agent that comes with the package and from whose weights training starts; empty to start from
@@ -72,6 +74,7 @@ class Recipe:
     policy: dict[str, Any]
     task: dict[str, Any] = field(default_factory=dict)
     actuation: dict[str, Any] = field(default_factory=dict)
+    exploration: dict[str, list[float]] = field(default_factory=dict)
     hindsight: dict[str, Any] = field(default_factory=dict)
     features: dict[str, Any] = field(default_factory=dict)
     start: str = ""

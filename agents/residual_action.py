@@ -35,6 +35,9 @@ Observation = Mapping[str, NDArray[Any]]
 LARGEST_HELD = (
     0.12  # limit of the held action, fraction of the rated voltage: twice what overcomes Coulomb friction
 )
+# The position error is integrated within this distance of the goal, m, and below this speed, m/s: where friction can hold
+# the tool. Farther away or faster, the integral would grow by errors that the motion is about to remove.
+INTEGRAL_M, INTEGRAL_M_S = 1e-3, 0.015
 WEIGHT_SCALE = 5.0  # the weight of a transfer is proportional to exp(WEIGHT_SCALE * output)
 
 
@@ -92,6 +95,7 @@ class ResidualAction:
         period: Control period, s.
         base: Name of a registered controller whose action the policy corrects; None: the policy acts alone.
         estimates: Whether to add estimates of friction, masses and belts to the observation also without a base.
+        integral: Whether to add the integral of the position error to the observation.
         transfers: Durations, in periods beyond the shortest, of motions to rest at the goal that the policy weights.
         plans: Durations, in periods, of such motions that are designed for the estimated machine instead.
         **authority: Keyword arguments of `Authority`, which limits the policy's part of the action.
@@ -115,6 +119,7 @@ class ResidualAction:
         period: float,
         base: str | None = None,
         estimates: bool = False,
+        integral: bool = False,
         transfers: Sequence[int] = (),
         plans: Sequence[int] = (),
         **authority: float,
@@ -141,6 +146,8 @@ class ResidualAction:
         if plans and self._filter:
             self.bank = PlanBank(machine, period, self._filter, plans)
         self.laws: FeedbackLaws | None = None
+        self._integrates, self._axes = integral, len(machine.tool_axes)
+        self._integral = np.zeros((0, 0))  # of the position error, m s, (batch, axes)
         self._starts = EpisodeStarts()
         self._observation: NDArray[Any] = np.zeros((0, 0))  # `observation` of this period, (batch, entries)
         self._last_observation: NDArray[Any] = np.zeros((0, 0))  # and of the previous period
@@ -167,6 +174,8 @@ class ResidualAction:
             added[key] = spaces.Box(-np.inf, np.inf, (size,), np.float32)
         if self._filter:
             added["estimates"] = spaces.Box(-np.inf, np.inf, (self._filter.size,), np.float32)
+        if self._integrates:
+            added["error_integral"] = spaces.Box(-np.inf, np.inf, (self._axes,), np.float32)
         return spaces.Dict({**observation_space.spaces, **added})
 
     def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
@@ -194,6 +203,7 @@ class ResidualAction:
         state = observation["observation"]
         if self._starts.resize(len(state)):
             self._observation, self._last_action = state, np.zeros((len(state), self._drives))
+            self._integral = np.zeros((len(state), self._axes))
         starting = self._starts.mask[:, None]  # (batch, 1)
         if self._filter and self._model:
             before, after = (self._model.state({"observation": rows}) for rows in (self._observation, state))
@@ -210,6 +220,8 @@ class ResidualAction:
         goal = observation["desired_goal"]
         self._distance = self.meters * np.linalg.norm(goal - state[:, : goal.shape[1]], axis=1)
         self._speed = self.meters * np.linalg.norm(state[:, self.tool_speeds], axis=1)
+        if self._integrates:
+            self._integrate(self.meters * (goal - state[:, : self._axes]), starting)
         if isinstance(self.bank, PlanBank):
             self.laws = self.bank.laws(state, goal, self._last_action)
         elif self.bank:
@@ -217,6 +229,13 @@ class ResidualAction:
         if self.base:
             self._base_action = np.clip(self.base.act(observation), -1.0, 1.0)
         return {**observation, **self.history()}
+
+    def _integrate(self, error: NDArray[Any], starting: NDArray[np.bool_]) -> None:
+        """Add the position error, m, (batch, axes), to its integral, which begins at zero when the error changes sign."""
+        near = (self._distance < INTEGRAL_M)[:, None]
+        kept = np.where(near & ~starting & (error * self._integral >= 0.0), self._integral, 0.0)
+        slow = (1.0 - self._speed / INTEGRAL_M_S).clip(min=0.0)[:, None]
+        self._integral = kept + near * slow * error * self.period
 
     def history(self) -> dict[str, NDArray[np.float32]]:
         """Return the arrays that the policy receives in addition to the environment's observation.
@@ -236,6 +255,9 @@ class ResidualAction:
             estimates: Estimated deviations of friction, masses and belts from the model, dimensionless (0.1: about 10 %
                 above), shape (batch, parameters); only if the constructor's argument `estimates` is True or the base is
                 adaptive or predictive. Attributes of `ParameterFilter` or of the base document the columns.
+            error_integral: Integral of the position error along each axis while the tool is slow and within 1 mm of the
+                goal, m s, shape (batch, axes); it begins at zero when the error changes sign. Only if the constructor's
+                argument `integral` is True.
         """
         added: dict[str, NDArray[Any]] = {
             "last_observation": self._last_observation,
@@ -246,6 +268,8 @@ class ResidualAction:
         added |= {key: getattr(self.base, key) for key in self._base_features}
         if self._filter:
             added["estimates"] = self._filter.estimates
+        if self._integrates:
+            added["error_integral"] = self._integral
         return {key: values.astype(np.float32) for key, values in added.items()}
 
     def action(self, output: NDArray[Any]) -> Actions:

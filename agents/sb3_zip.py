@@ -26,8 +26,13 @@ from ..evaluation import CONTROLLER_SOURCES, ControllerFiles, ControllerSource, 
 from ..machine import Machine
 from .optional_dependencies import CONTRIB_ALGORITHMS, import_optional, single_threaded_torch
 
-# Options `normalize` and `flat` of the forms of observations that an environment can have.
-_FORMS = tuple((normalize, flat) for flat in (False, True) for normalize in (False, True))
+# Options of the forms of observations that an environment can have.
+_FORMS = tuple(
+    {"normalize": normalize, "flat": flat, "error": error}
+    for error in (False, True)
+    for flat in (False, True)
+    for normalize in (False, True)
+)
 # Module of the policy classes of PPO and A2C; those of the other algorithms are in a module of their name.
 _ON_POLICY = "stable_baselines3.common.policies"
 
@@ -78,8 +83,7 @@ class ZipSource(ControllerSource):
         model = _load(Path(name))
         one = dataclasses.replace(scenario, episodes=1)
         environments = [
-            environments_of(one, sensors=one.sensors, period=one.period, normalize=normalize, flat=flat)
-            for normalize, flat in _FORMS
+            environments_of(one, sensors=one.sensors, period=one.period, **form) for form in _FORMS
         ]
         wanted = environments[0].single_action_space
         if not _same(model.action_space, wanted):

@@ -48,6 +48,7 @@ class EnvOptions(TypedDict, total=False):
     privileged: bool
     normalize: bool
     flat: bool
+    error: bool
     ends: Ends
     penalty: float
     period: float
@@ -78,6 +79,9 @@ class EnvConfig:
             `env.unwrapped.entries`, so that every entry is about -1 to 1, as learning libraries with default
             hyperparameters need it.
         flat: Whether the observation is one array instead of a dict of arrays.
+        error: Whether the observation also has the array `error`: the distance to the goal along each axis on a
+            logarithmic scale, from -1 to 1, so that a network sees a tenth of a millimeter. Not for hindsight
+            experience replay, which changes goals but not this array.
         ends: What happens at the workspace's edge: "stops" (rubber buffers stop the tool) or "terminate" (the episode
             ends and `penalty` is subtracted from the reward as soon as the position in `achieved_goal`, which is
             measured with `sensors`, is outside).
@@ -100,6 +104,7 @@ class EnvConfig:
     privileged: bool = False
     normalize: bool = False
     flat: bool = False
+    error: bool = False
     ends: Ends = "stops"
     penalty: float = PENALTY
     period: float = 0.01
@@ -113,7 +118,7 @@ class EnvConfig:
     def __post_init__(self) -> None:
         if self.ends not in ("stops", "terminate"):
             raise InputError(f"ends is {self.ends!r}; choose 'stops' or 'terminate'")
-        for name in ("privileged", "normalize", "flat"):
+        for name in ("privileged", "normalize", "flat", "error"):
             value = getattr(self, name)
             if not isinstance(value, bool):
                 raise InputError(f"{name} is {value!r}, it must be True or False")

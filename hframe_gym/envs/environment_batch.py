@@ -64,7 +64,7 @@ class EnvironmentBatch:
         contour_key: Key of an info with the distance to the path, "contour_m" or "contour_rad".
         references: Computes the goals.
         observations: Computes observations from states or measurements.
-        format: Converts observations to the form that `normalize` and `flat` select; the batch itself uses SI units.
+        format: Converts observations to the form that `normalize`, `flat` and `error` select; the batch itself uses SI units.
         rewards: Computes the rewards.
         values: All N parameters of the running episodes, SI, order of `sampler.space.names`, shape (count, N).
         clipped: Number of action entries outside [-1, 1] in each running episode, shape (count,).
@@ -105,7 +105,9 @@ class EnvironmentBatch:
         previews, entries = len(self.task.ahead_s), builder.entries
         signals = observation_signals(self.machine, previews, observed=entries, privileged=builder.privileged)
         self.observations = builder
-        self.format = ObservationFormat(signals, normalize=config.normalize, flat=config.flat)
+        self.format = ObservationFormat(
+            signals, normalize=config.normalize, flat=config.flat, error=config.error
+        )
         # Values that every step needs, looked up once: look-ups are a large part of a step of a single environment.
         self._expected_shape = count, len(self.machine.drives)
         self._has_path = self.task.metrics == "track"

@@ -142,6 +142,7 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
     | `desired_goal` | 0, 1 | x, y of the goal | m | -0.33 to 0.33, -0.24 to 0.24 |
     | `preview` | 2 i, 2 i + 1 | x, y of future goal i (tasks with a path) | m | -0.33 to 0.33, -0.24 to 0.24 |
     | `privileged` | | state of all coordinates, randomized parameters (only with `privileged=True`) | | |
+    | `error` | 0, 1 | logarithm of the distance to the goal along x and y (only with `error=True`) | 1 | -1 to 1 |
 
     With `sensors="rig"` or `"machine"`, positions are measurements and velocities their differences over the control
     period, unfiltered. `achieved_goal` is then the measured tool position: that of a sensor of x or y inside its range,
@@ -191,6 +192,7 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
     | `privileged` | `False` | whether the observation has `privileged` |
     | `normalize` | `False` | whether observations and goals are (value - center) / scale, as `entries` states them |
     | `flat` | `False` | whether the observation is one array |
+    | `error` | `False` | whether the observation has `error` |
     | `ends` | `"stops"` | `"stops"`, `"terminate"` |
     | `penalty` | 100 | see Rewards |
     | `period` | 0.01 | control period, s |
@@ -315,7 +317,7 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
         self._trail = deque(state["trail"], maxlen=TRAIL_LENGTH)
 
     def _first(self, observation: Observation) -> Any:
-        """Return the observation of the only environment in the form that `normalize` and `flat` select."""
+        """Return the observation of the only environment in the form that `normalize`, `flat` and `error` select."""
         if self._formats:
             formatted = self.batch.format.apply(observation)
             if not isinstance(formatted, dict):

@@ -1,4 +1,4 @@
-"""Observation spaces: bounds of every entry, and the options `normalize` and `flat`."""
+"""Observation spaces: bounds of every entry, and the options `normalize`, `flat` and `error`."""
 
 from __future__ import annotations
 
@@ -22,6 +22,10 @@ MARGIN = (
 SPEED_FACTOR = (
     3.0  # bound of velocities / no-load speed of the drives; no motion that a drive can cause is so fast
 )
+
+# m, error at which the entries of `error` change from linear to logarithmic: about the precision that a policy without
+# them reaches.
+ERROR_SCALE = 1e-4
 
 
 @dataclass(frozen=True)
@@ -245,21 +249,29 @@ def box(low: NDArray[np.floating[Any]], high: NDArray[np.floating[Any]]) -> spac
     return spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
 
 
+def _error_signal(goal: SignalSpec) -> SignalSpec:
+    """Specify the entry of `error` along the axis of a goal."""
+    return SignalSpec(f"error {goal.coordinate}", "1", goal.coordinate, False, -1.0, 1.0, 0.0, 1.0)
+
+
 def bounds_of(signals: Sequence[SignalSpec]) -> tuple[Array, Array]:
     """Return the lower and the upper bounds of n observation entries, in their units, shape (n,) each."""
     return np.array([s.low for s in signals]), np.array([s.high for s in signals])
 
 
 class ObservationFormat:
-    """Convert observations in SI units to the form that the options `normalize` and `flat` select.
+    """Convert observations in SI units to the form that the options `normalize`, `flat` and `error` select.
 
-    Normalized entries are (value - center) / scale, computed in float32; `SignalSpec` documents center and scale. A
-    flat observation is one array that holds the keys in alphabetical order, as Gymnasium's `FlattenObservation` does.
+    Normalized entries are (value - center) / scale, computed in float32; `SignalSpec` documents center and scale. The
+    array `error` has, for each axis, sign(e) log(1 + |e| / 0.1 mm) of e = desired_goal - achieved_goal in meters,
+    divided by its value for the largest possible error. A flat observation is one array that holds the keys in
+    alphabetical order, as Gymnasium's `FlattenObservation` does.
 
     Args:
         signals: Specification of every entry, by key in alphabetical order.
         normalize: Whether to normalize.
         flat: Whether to join the keys into one array.
+        error: Whether to add the array `error`.
 
     Attributes:
         active: Whether observations change at all.
@@ -267,10 +279,14 @@ class ObservationFormat:
         space: Observation space of one environment.
     """
 
-    def __init__(self, signals: Mapping[str, Sequence[SignalSpec]], *, normalize: bool, flat: bool) -> None:
-        self.active, self.normalize = normalize or flat, normalize
+    def __init__(
+        self, signals: Mapping[str, Sequence[SignalSpec]], *, normalize: bool, flat: bool, error: bool = False
+    ) -> None:
+        self.active, self.normalize, self.error = normalize or flat or error, normalize, error
         self._center = {k: np.array([s.center for s in specs], np.float32) for k, specs in signals.items()}
         self._scale = {k: np.array([s.scale for s in specs], np.float32) for k, specs in signals.items()}
+        largest = np.array([s.high - s.low for s in signals["desired_goal"]])
+        self._error_factor = (1.0 / np.log1p(largest / ERROR_SCALE)).astype(np.float32)
         boxes = {}
         for key, specs in signals.items():
             edges = np.stack(bounds_of(specs)).astype(np.float32)
@@ -281,9 +297,14 @@ class ObservationFormat:
             **signals,
             "privileged": [replace(s, name=f"privileged {s.name}") for s in signals.get("privileged", ())],
         }
-        self.entries = tuple(spec for key in signals for spec in named[key]) if flat else None
+        if error:
+            named["error"] = [_error_signal(s) for s in signals["desired_goal"]]
+            edges = np.stack(bounds_of(named["error"])).astype(np.float32)
+            boxes["error"] = tuple(edges)
+        self._keys = sorted(boxes)
+        self.entries = tuple(spec for key in self._keys for spec in named[key]) if flat else None
         self.space: spaces.Space[Any] = (
-            box(*(np.concatenate(edges) for edges in zip(*boxes.values(), strict=True)))
+            box(*(np.concatenate(edges) for edges in zip(*(boxes[key] for key in self._keys), strict=True)))
             if flat
             else spaces.Dict({key: box(*edges) for key, edges in boxes.items()})
         )
@@ -294,22 +315,32 @@ class ObservationFormat:
         _normalize(values, self._center[key], self._scale[key], normalized)
         return normalized
 
+    def _errors(self, observation: Mapping[str, NDArray[np.float32]]) -> NDArray[np.float32]:
+        """Return the array `error` of observations in SI units, shape (rows, axes)."""
+        error = observation["desired_goal"] - observation["achieved_goal"]
+        logarithm = np.log1p(np.abs(error) / np.float32(ERROR_SCALE)) * self._error_factor
+        return np.copysign(np.minimum(logarithm, np.float32(1.0)), error)
+
     def apply(self, observation: dict[str, NDArray[np.float32]]) -> Any:
-        """Convert observations to the format that the environment's options `normalize` and `flat` select.
+        """Convert observations to the format that the environment's options select.
 
         Args:
             observation: Arrays by key, SI, float32, shape (n, entries of the key).
 
         Returns:
-            Arrays of the same shapes or, with `flat`, one array of shape (n, all entries); without both options
-            `observation` itself.
+            Arrays of the same shapes, with `error` where it is selected, or, with `flat`, one array of shape (n, all
+            entries); without the options `observation` itself.
         """
         if not self.active:
             return observation
         values = {
             k: self._normalized(k, observation[k]) if self.normalize else observation[k] for k in self._center
         }
-        return values if self.entries is None else np.concatenate(list(values.values()), axis=1)
+        if self.error:
+            values["error"] = self._errors(observation)
+        if self.entries is None:
+            return values
+        return np.concatenate([values[key] for key in self._keys], axis=1)
 
     def restore(self, observation: Any) -> dict[str, NDArray[np.float32]]:
         """Convert observations of the selected format back to arrays by key in SI units, the inverse of `apply`.
@@ -324,12 +355,11 @@ class ObservationFormat:
         sizes = {key: len(center) for key, center in self._center.items()}
         if self.entries is not None:
             joined = np.asarray(observation, np.float32)
-            if joined.ndim != 2 or joined.shape[1] != sum(sizes.values()):
-                raise InputError(
-                    f"observation has shape {joined.shape}, it must be (n, {sum(sizes.values())})"
-                )
-            parts = np.split(joined, np.cumsum(list(sizes.values()))[:-1], axis=1)
-            observation = dict(zip(sizes, parts, strict=True))
+            if joined.ndim != 2 or joined.shape[1] != len(self.entries):
+                raise InputError(f"observation has shape {joined.shape}, it must be (n, {len(self.entries)})")
+            widths = [sizes.get(key, len(self._error_factor)) for key in self._keys]
+            parts = np.split(joined, np.cumsum(widths)[:-1], axis=1)
+            observation = dict(zip(self._keys, parts, strict=True))
         if not isinstance(observation, Mapping) or not set(sizes) <= set(observation):
             given = ", ".join(observation) if isinstance(observation, Mapping) else "one array"
             raise InputError(f"observation has {given}, it must have the keys {', '.join(sizes)}")

@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from hframe_gym.agents.features import TransferBank, feature_parameters
+from hframe_gym.agents.residual_action import ResidualAction
 from hframe_gym.agents.sb3_adapters import LogScaleFeatures
 from hframe_gym.envs import HFrameVectorEnv, observation_space
 from hframe_gym.errors import InputError
@@ -68,3 +69,20 @@ def test_features_of_transfers_that_the_machine_lacks_are_refused():
 def test_durations_of_transfers_that_are_not_ascending_are_refused(transfers):
     with pytest.raises(InputError, match="list durations in ascending order"):
         TransferBank(MACHINE, 0.01, transfers)
+
+
+def test_the_integral_of_a_resting_error_is_a_feature_of_the_tool_and_of_the_motors():
+    observation = rest_observation(MACHINE, (0.1, -0.05), (0.1, -0.05))
+    space = ResidualAction(MACHINE, 0.01, integral=True).observation_space(observation_space(MACHINE))
+    extractor = LogScaleFeatures(space, **feature_parameters(MACHINE))
+    observation["last_observation"], observation["last_action"] = observation["observation"], np.zeros((1, 2))
+    rows = []
+    for integral in (0.0, 1e-6):  # an error of 0.1 mm along x for one period
+        observation["error_integral"] = np.array([[integral, 0.0]])
+        rows.append(extractor({k: torch.as_tensor(v.astype(np.float32)) for k, v in observation.items()})[0])
+    changed = (rows[1] - rows[0]).numpy()
+    assert np.abs(changed[:-8]).max() == 0.0
+    by_scale = changed[-8:].reshape(2, 4)  # x, y, and the travel of both belts
+    assert by_scale[1, 0] == pytest.approx(np.log(2.0) / np.log1p(1e2), rel=1e-4)
+    assert by_scale[:, 1] == pytest.approx([0.0, 0.0])
+    assert (np.abs(by_scale[:, 2:]) > 0.01).all()

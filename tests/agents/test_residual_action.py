@@ -35,6 +35,27 @@ def test_the_last_action_is_held_at_rest_at_the_goal_only():
     assert held[1e-3] == pytest.approx([0.0, 0.0], abs=1e-9)
 
 
+def test_the_integral_grows_while_the_tool_rests_near_the_goal():
+    mapping = ResidualAction(MACHINE, 0.01, integral=True)
+    goal = (0.1, 0.05)
+
+    def integral(*error, speed=0.0):
+        observation = rest_observation(MACHINE, np.subtract(goal, error), goal)
+        observation["observation"][:, mapping.tool_speeds] = [speed, 0.0]
+        return mapping.augment(observation)["error_integral"][0]
+
+    assert integral(2e-3, 0.0) == pytest.approx([0.0, 0.0])  # too far away
+    for periods in (1, 2, 3):
+        assert integral(1e-4, -5e-5) == pytest.approx([1e-6 * periods, -5e-7 * periods], rel=1e-2)
+    assert integral(1e-4, -5e-5, speed=0.1) == pytest.approx([3e-6, -1.5e-6], rel=1e-2)  # moving
+    assert integral(-1e-5, -5e-5) == pytest.approx([-1e-7, -2e-6], rel=1e-2)  # x has crossed the goal
+    mapping.reset()
+    assert integral(1e-4, 0.0) == pytest.approx([1e-6, 0.0], rel=1e-2, abs=1e-9)
+    assert integral(2e-3, 0.0) == pytest.approx([0.0, 0.0])
+    space = mapping.observation_space(observation_space(MACHINE))
+    assert space["error_integral"].shape == (2,)
+
+
 def test_history_covers_one_period_and_is_cleared_by_a_reset():
     envs = HFrameVectorEnv(3, randomize="none")
     mapping = ResidualAction(MACHINE, 0.01, base="pid", least=0.1)

@@ -29,7 +29,14 @@ def saved(path: Path, env: Any, algorithm: str = "PPO", seed: int = 0) -> str:
 
 
 @pytest.mark.parametrize(
-    "options", [{}, {"normalize": True}, {"flat": True}, {"normalize": True, "flat": True}]
+    "options",
+    [
+        {},
+        {"normalize": True},
+        {"flat": True},
+        {"normalize": True, "flat": True},
+        {"normalize": True, "error": True},
+    ],
 )
 @pytest.mark.parametrize("algorithm", ["PPO", "SAC"])
 def test_a_model_acts_as_in_its_training(tmp_path: Path, algorithm: str, options: dict[str, bool]) -> None:

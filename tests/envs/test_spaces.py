@@ -1,4 +1,4 @@
-"""The options `normalize` and `flat`: bounds, bits, rewards of relabeled goals, and the flat ids."""
+"""The options `normalize`, `flat` and `error`: bounds, bits, rewards of relabeled goals, and the flat ids."""
 
 import copy
 
@@ -47,6 +47,34 @@ def test_entries_of_a_running_stage_are_about_one():
         assert np.abs(space.high).max() <= 3.0 + 1e-6
 
 
+@pytest.mark.parametrize("options", [{}, {"normalize": True}, {"sensors": "rig"}], ids=str)
+def test_the_error_is_the_logarithm_of_the_distance_along_each_axis(options):
+    env = HFrameEnv(error=True, **options)
+    target = np.array([0.1, -0.05])
+    for offset in (0.3, 1e-2, 1e-4, -1e-5, 0.0):
+        observation, _ = env.reset(seed=0, options={"start": target - [offset, 0.0], "target": target})
+        assert env.observation_space.contains(observation)
+        seen = {key: observation[key].astype(float) for key in ("achieved_goal", "desired_goal")}
+        error = seen["desired_goal"] - seen["achieved_goal"]
+        if options.get("normalize"):
+            error *= [0.28, 0.19]
+        largest = np.array([0.66, 0.48])  # m, between the bounds of positions
+        expected = np.sign(error) * np.log1p(np.abs(error) / 1e-4) / np.log1p(largest / 1e-4)
+        np.testing.assert_allclose(observation["error"], expected, atol=3e-4)  # float32 rounds positions to 30 nm
+    assert "error" not in HFrameEnv(**options).observation_space.spaces
+
+
+def test_the_error_of_flat_observations_is_in_alphabetical_order_and_undone():
+    form = HFrameVectorEnv(2, normalize=True, flat=True, error=True, task="track").batch.format
+    names = [entry.name for entry in form.entries]
+    assert names[3:7] == ["desired_goal y", "error x", "error y", "x"]
+    plain, _ = HFrameVectorEnv(2, task="track").reset(seed=0)
+    restored = form.restore(form.apply(plain))
+    assert restored.keys() == plain.keys()
+    for key, values in plain.items():
+        np.testing.assert_allclose(restored[key], values, atol=1e-6)
+
+
 REWARDED = [{}, {"reward": "dense"}, {"reward": "sparse"}, {"ends": "terminate"}, RIG, {"task": "track"}]
 
 
@@ -73,7 +101,9 @@ def test_normalized_rewards_are_those_in_si_units():
 
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
 @pytest.mark.parametrize(
-    "options", [{"normalize": True}, {"flat": True}, {"normalize": True, "flat": True}], ids=str
+    "options",
+    [{"normalize": True}, {"flat": True}, {"normalize": True, "flat": True}, {"error": True}],
+    ids=str,
 )
 def test_vector_environments_have_the_bits_of_single_ones(options, mode):
     envs = HFrameVectorEnv(3, max_episode_steps=8, autoreset_mode=mode, randomize="default", **options)

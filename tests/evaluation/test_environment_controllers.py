@@ -13,7 +13,7 @@ from hframe_gym.envs import HFrameVectorEnv, Track
 from hframe_gym.errors import InputError
 from hframe_gym.evaluation import evaluate, make_controller
 
-FORMATS = [{}, {"normalize": True}, {"flat": True}, {"normalize": True, "flat": True}]
+FORMATS = [{}, {"normalize": True}, {"flat": True}, {"normalize": True, "flat": True, "error": True}]
 PERIODS = 100
 
 
