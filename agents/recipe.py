@@ -55,8 +55,6 @@ class Recipe:
         task: Keyword arguments of the task class.
         actuation: Keyword arguments of `ResidualAction`, which converts the policy's outputs to actions; if empty, the
             outputs are the actions.
-        exploration: `log_std`, a pair: the logarithm of the standard deviation of PPO's exploration noise, which changes
-            linearly from the first value to the second over the run instead of being learned; if empty, it is learned.
         hindsight: Keyword arguments of `HerReplayBuffer`; if empty, the replay buffer is the algorithm's default.
         features: Keyword arguments of `feature_parameters` beside machine and period.
         start: Name of an agent that comes with the package and from whose weights training starts; empty to start from
@@ -74,7 +72,6 @@ class Recipe:
     policy: dict[str, Any]
     task: dict[str, Any] = field(default_factory=dict)
     actuation: dict[str, Any] = field(default_factory=dict)
-    exploration: dict[str, list[float]] = field(default_factory=dict)
     hindsight: dict[str, Any] = field(default_factory=dict)
     features: dict[str, Any] = field(default_factory=dict)
     start: str = ""

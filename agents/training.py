@@ -42,7 +42,7 @@ from .optional_dependencies import (
     require_training_packages,
     single_threaded_torch,
 )
-from .recipe import ALGORITHMS, LinearSchedule, Recipe, build_task, load_recipe, recipe_task, require_transfers
+from .recipe import ALGORITHMS, Recipe, build_task, load_recipe, recipe_task, require_transfers
 from .residual_action import residual_action
 
 # Environment i of a run with seed s has the seed TRAINING_SEED + s * SEED_STRIDE + i. The seeds of the evaluation
@@ -189,7 +189,7 @@ class _Run:
             self._evaluate()
             self._save()
         callback = import_module("hframe_gym.agents.sb3_adapters").TrainingCallback(
-            self._after_step, self._before_rollout
+            self._after_step, self._save
         )
         self.model.learn(steps - self.model.num_timesteps, callback=callback, reset_num_timesteps=False)
         self._evaluate()
@@ -264,14 +264,6 @@ class _Run:
         if self.model.num_timesteps >= self.next_evaluation:
             self.next_evaluation = self.model.num_timesteps + self.evaluation_interval
             self._evaluate()
-
-    def _before_rollout(self) -> None:
-        """Save the last evaluation, and set the exploration noise that the recipe prescribes."""
-        self._save()
-        if self.recipe.exploration:
-            remaining = 1.0 - self.model.num_timesteps / self.total_steps
-            log_std = self.model.policy.log_std.requires_grad_(False)
-            log_std.fill_(LinearSchedule(*self.recipe.exploration["log_std"])(remaining))
 
     def _evaluate(self) -> None:
         """Score the current policy, log the scores, and keep a copy of it if it is the best."""

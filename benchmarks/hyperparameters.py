@@ -4,8 +4,8 @@
     python -m benchmarks.hyperparameters --trials 24 --batch 8 --jobs 2    # or --ray [ADDRESS]
 
 A trial trains by the recipe ppo_reach with other settings: learning rate, discount, batches, epochs, noise of the
-exploration (learned, prescribed, or dependent on the state, gSDE), and what the policy knows: the integral of the error,
-estimates of the parameters, voltages of feedback laws that it weights. The objective is the cost by which a training run
+exploration (also gSDE, which depends on the state), and what the policy knows: the integral of the error, estimates of
+the parameters, voltages of feedback laws that it weights. The objective is the cost by which a training run
 chooses the agent to keep (`episode_costs`), on the 256 episodes of the learning curves. The seed of the trials is none
 of those that are reported. A short training shows what learns fast, not what ends best, so the result is used only where
 complete trainings confirm it. The trials of a batch are drawn before any of them is trained: the study depends on the
@@ -32,15 +32,12 @@ STEPS = 300_000
 SEED = 100  # the agents of the package have the seeds 0 to 9
 FEATURES = [0, 1, 2, 4, 6, 9, 12, 16, 21, 27]  # periods beyond the shortest transfer
 LAWS = [0, 4, 12]
-LAST_LOG_STD = -4.5  # exploration noise at the end of a run that prescribes it
 
 
 def suggest_recipe(trial: optuna.Trial, steps: int) -> Recipe:
     """Return the recipe with the settings of a trial."""
     recipe = load_recipe("ppo", "reach")
     rate = trial.suggest_float("learning_rate", 2e-4, 3e-3, log=True)
-    noise = trial.suggest_categorical("noise", ["learned", "prescribed", "of the state"])
-    first_log_std = trial.suggest_float("first_log_std", -2.5, -0.5)
     knowledge = trial.suggest_categorical("knowledge", ["geometry", "estimates", "laws"])
     algorithm = {
         **recipe.algorithm,
@@ -48,7 +45,7 @@ def suggest_recipe(trial: optuna.Trial, steps: int) -> Recipe:
         "gamma": 1.0 - trial.suggest_float("one_less_gamma", 0.02, 0.1, log=True),
         "batch_size": trial.suggest_categorical("batch_size", [256, 512, 1024]),
         "n_epochs": trial.suggest_int("n_epochs", 4, 12),
-        "use_sde": noise == "of the state",
+        "use_sde": trial.suggest_categorical("use_sde", [False, True]),
     }
     actuation = {
         "least": trial.suggest_float("least", 0.03, 0.2, log=True),
@@ -64,8 +61,7 @@ def suggest_recipe(trial: optuna.Trial, steps: int) -> Recipe:
         algorithm=algorithm,
         actuation=actuation,
         features={} if knowledge == "geometry" else {"transfers": FEATURES},
-        policy={**recipe.policy, "log_std_init": first_log_std},
-        exploration={"log_std": [first_log_std, LAST_LOG_STD]} if noise == "prescribed" else {},
+        policy={**recipe.policy, "log_std_init": trial.suggest_float("log_std_init", -2.5, -0.5)},
     )
 
 
@@ -112,8 +108,8 @@ def main() -> None:
         "one_less_gamma": 1.0 - recipe.algorithm["gamma"],
         "batch_size": recipe.algorithm["batch_size"],
         "n_epochs": recipe.algorithm["n_epochs"],
-        "noise": "prescribed" if recipe.exploration else "learned",
-        "first_log_std": recipe.policy["log_std_init"],
+        "use_sde": False,
+        "log_std_init": recipe.policy["log_std_init"],
         "knowledge": "geometry",
         "least": recipe.actuation["least"],
         "integral": recipe.actuation["integral"],

@@ -60,14 +60,14 @@ assert native_step[0]["observation"].shape == (64, 8)
     ),
     "Stable-Baselines3": Client(
         SB3,
-        400,
+        15_360,
         IN_ACTION_SPACE
         + """
-assert ppo.num_timesteps >= STEPS and sac.num_timesteps == STEPS
-assert sac.replay_buffer.env is not None and len(sac.ep_info_buffer) == STEPS // 150
-observation = env.reset(seed=0)[0]
+assert ppo.num_timesteps >= STEPS and sac.num_timesteps == her.num_timesteps == STEPS // 3
+observation = env.reset()
 check(PPO.load("ppo", device="cpu").predict(observation)[0]), check(sac.predict(observation)[0])
-relabeled = sac.replay_buffer.sample(64).rewards.numpy()
+check(her.predict(sparse.reset())[0])
+relabeled = her.replay_buffer.sample(64).rewards.numpy()
 assert set(np.unique(relabeled)) <= {-1.0, 0.0} and (relabeled == 0.0).any(), "no goal was relabeled to one reached"
 """,
     ),
