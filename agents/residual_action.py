@@ -35,8 +35,8 @@ Observation = Mapping[str, NDArray[Any]]
 LARGEST_HELD = (
     0.12  # limit of the held action, fraction of the rated voltage: twice what overcomes Coulomb friction
 )
-# The position error is integrated within this distance of the goal, m, and below this speed, m/s: where friction can hold
-# the tool. Farther away or faster, the integral would grow by errors that the motion is about to remove.
+# The position error is integrated within this distance of the goal, m, and below this speed, m/s: where friction can
+# hold the tool. Farther away or faster, the integral would grow by errors that the motion is about to remove.
 INTEGRAL_M, INTEGRAL_M_S = 1e-3, 0.015
 WEIGHT_SCALE = 5.0  # the weight of a transfer is proportional to exp(WEIGHT_SCALE * output)
 
@@ -231,7 +231,7 @@ class ResidualAction:
         return {**observation, **self.history()}
 
     def _integrate(self, error: NDArray[Any], starting: NDArray[np.bool_]) -> None:
-        """Add the position error, m, (batch, axes), to its integral, which begins at zero when the error changes sign."""
+        """Add the position error, m, (batch, axes), to its integral; a change of its sign sets the integral to zero."""
         near = (self._distance < INTEGRAL_M)[:, None]
         kept = np.where(near & ~starting & (error * self._integral >= 0.0), self._integral, 0.0)
         slow = (1.0 - self._speed / INTEGRAL_M_S).clip(min=0.0)[:, None]

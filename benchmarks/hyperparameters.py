@@ -6,8 +6,8 @@
 A trial trains by the recipe ppo_reach with other settings: learning rate, discount, batches, epochs, noise of the
 exploration (also gSDE, which depends on the state), and what the policy knows: the integral of the error, estimates of
 the parameters, voltages of feedback laws that it weights. The objective is the cost by which a training run
-chooses the agent to keep (`episode_costs`), on the 256 episodes of the learning curves. The seed of the trials is none
-of those that are reported. A short training shows what learns fast, not what ends best, so the result is used only where
+chooses the agent to keep (`episode_costs`), on the 256 episodes of the learning curves. The seed of the trials is not
+reported elsewhere. A short training shows what learns fast, not what ends best, so the result is used only where
 complete trainings confirm it. The trials of a batch are drawn before any of them is trained: the study depends on the
 size of a batch, not on the number of workers.
 """
@@ -70,7 +70,9 @@ def trained_cost(recipe: Recipe) -> dict[str, float]:
     with tempfile.TemporaryDirectory() as folder:
         row = train(recipe, seed=SEED, out=folder, log=lambda line: None)["curve"][-1]
     cost = sum(row[f"settling_s_{band}"] for band in BANDS) + SECONDS_PER_MM * row["final_error_mm"]
-    scores = {f"{score}_{band}": row[f"{score}_{band}"] for band in BANDS for score in ("success", "settling_s")}
+    scores = {
+        f"{score}_{band}": row[f"{score}_{band}"] for band in BANDS for score in ("success", "settling_s")
+    }
     return {"cost": cost, "cpu_s": row["cpu_s"], **scores}
 
 
@@ -112,7 +114,7 @@ def main() -> None:
         "log_std_init": recipe.policy["log_std_init"],
         "knowledge": "geometry",
         "least": recipe.actuation["least"],
-        "integral": recipe.actuation["integral"],
+        "integral": recipe.actuation.get("integral", False),
     }
     study.enqueue_trial(first)
     while len(study.trials) < arguments.trials:

@@ -27,7 +27,7 @@ class Format(Protocol):
 class EnvironmentController(Controller):
     """Controller that reads the observations of one environment, or of a vector of them, as they are returned.
 
-    It undoes the options `normalize`, `flat` and `error`, and takes an observation without batch axis as that of one machine.
+    It undoes the options `normalize`, `flat` and `error`. An observation without batch axis is that of one machine.
 
     Args:
         form: Form of the observations.

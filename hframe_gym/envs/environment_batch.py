@@ -64,7 +64,7 @@ class EnvironmentBatch:
         contour_key: Key of an info with the distance to the path, "contour_m" or "contour_rad".
         references: Computes the goals.
         observations: Computes observations from states or measurements.
-        format: Converts observations to the form that `normalize`, `flat` and `error` select; the batch itself uses SI units.
+        format: Converts observations, SI, to the form that `normalize`, `flat` and `error` select.
         rewards: Computes the rewards.
         values: All N parameters of the running episodes, SI, order of `sampler.space.names`, shape (count, N).
         clipped: Number of action entries outside [-1, 1] in each running episode, shape (count,).

@@ -53,7 +53,7 @@ def test_a_task_without_recipes_has_those_of_the_task_with_the_same_metrics():
         TASKS.unregister("user-path")
 
 
-@pytest.mark.parametrize("option", ["machine", "task", "normalize", "flat"])
+@pytest.mark.parametrize("option", ["machine", "task", "normalize", "flat", "error"])
 def test_options_that_training_sets_or_policies_cannot_observe_are_refused(option):
     recipe = load_recipe("ppo", "reach")
     with pytest.raises(InputError, match=f"recipe ppo_reach: env has the option {option}"):
