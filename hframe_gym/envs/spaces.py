@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..arrays import Array
 from ..dynamics.codegen.compiled import compiled
 from ..errors import InputError
-from ..machine import Drive, Machine, Sensor, observed_coordinates, rest_positions_per_axis
+from ..machine import AXIS_UNITS, Drive, Machine, Sensor, observed_coordinates, rest_positions_per_axis
 from .workspace import workspace_of
 
 MARGIN = (
@@ -263,9 +263,9 @@ class ObservationFormat:
     """Convert observations in SI units to the form that the options `normalize`, `flat` and `error` select.
 
     Normalized entries are (value - center) / scale, computed in float32; `SignalSpec` documents center and scale. The
-    array `error` has, for each axis, sign(e) log(1 + |e| / 0.1 mm) of e = desired_goal - achieved_goal in meters,
-    divided by its value for the largest possible error. A flat observation is one array that holds the keys in
-    alphabetical order, as Gymnasium's `FlattenObservation` does.
+    array `error` has, for each axis, sign(e) log(1 + |e| / 0.1 mm) of e = desired_goal - achieved_goal (1 mrad along
+    rotary axes), divided by its value for the largest possible error. A flat observation is one array that holds the
+    keys in alphabetical order, as Gymnasium's `FlattenObservation` does.
 
     Args:
         signals: Specification of every entry, by key in alphabetical order.
@@ -285,8 +285,11 @@ class ObservationFormat:
         self.active, self.normalize, self.error = normalize or flat or error, normalize, error
         self._center = {k: np.array([s.center for s in specs], np.float32) for k, specs in signals.items()}
         self._scale = {k: np.array([s.scale for s in specs], np.float32) for k, specs in signals.items()}
-        largest = np.array([s.high - s.low for s in signals["desired_goal"]])
-        self._error_factor = (1.0 / np.log1p(largest / ERROR_SCALE)).astype(np.float32)
+        goals = signals["desired_goal"]
+        scale = np.array([ERROR_SCALE * AXIS_UNITS[s.unit].per_meter for s in goals])
+        largest = np.array([s.high - s.low for s in goals])
+        self._error_scale = scale.astype(np.float32)
+        self._error_factor = (1.0 / np.log1p(largest / scale)).astype(np.float32)
         boxes = {}
         for key, specs in signals.items():
             edges = np.stack(bounds_of(specs)).astype(np.float32)
@@ -318,7 +321,7 @@ class ObservationFormat:
     def _errors(self, observation: Mapping[str, NDArray[np.float32]]) -> NDArray[np.float32]:
         """Return the array `error` of observations in SI units, shape (rows, axes)."""
         error = observation["desired_goal"] - observation["achieved_goal"]
-        logarithm = np.log1p(np.abs(error) / np.float32(ERROR_SCALE)) * self._error_factor
+        logarithm = np.log1p(np.abs(error) / self._error_scale) * self._error_factor
         return np.copysign(np.minimum(logarithm, np.float32(1.0)), error)
 
     def apply(self, observation: dict[str, NDArray[np.float32]]) -> Any:

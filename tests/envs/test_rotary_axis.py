@@ -190,3 +190,10 @@ def test_the_dial_shows_an_angle_and_reads_it_back_with_its_turns():
     for _ in range(3):
         env.step([0.5])
     assert (env.render() != before).any(axis=2).sum() > 300
+
+
+def test_the_observed_error_has_the_scale_of_an_angle():
+    env = gym.make("HFrame-v0", machine=MOTOR, error=True)
+    observation, _ = env.reset(seed=0, options={"start": [0.0], "target": [1e-3]})
+    span = env.observation_space["desired_goal"].high - env.observation_space["desired_goal"].low
+    np.testing.assert_allclose(observation["error"], np.log(2.0) / np.log1p(span / 1e-3), rtol=1e-3)
