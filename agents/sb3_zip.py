@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from typing_extensions import override
 
 from ..controllers import Controller, UnitCheck
-from ..envs import as_sensors
+from ..envs import EnvOptions, as_sensors
 from ..envs.spaces import ObservationFormat
 from ..errors import InputError
 from ..evaluation import CONTROLLER_SOURCES, ControllerFiles, ControllerSource, Scenario, environments_of
@@ -28,7 +28,7 @@ from .optional_dependencies import CONTRIB_ALGORITHMS, import_optional, single_t
 
 # Options of the forms of observations that an environment can have.
 _FORMS = tuple(
-    {"normalize": normalize, "flat": flat, "error": error}
+    EnvOptions(normalize=normalize, flat=flat, error=error)
     for error in (False, True)
     for flat in (False, True)
     for normalize in (False, True)
