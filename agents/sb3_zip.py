@@ -82,9 +82,8 @@ class ZipSource(ControllerSource):
             return None
         model = _load(Path(name))
         one = dataclasses.replace(scenario, episodes=1)
-        environments = [
-            environments_of(one, sensors=one.sensors, period=one.period, **form) for form in _FORMS
-        ]
+        observed = EnvOptions(sensors=one.sensors, period=one.period)
+        environments = [environments_of(one, **observed | form) for form in _FORMS]
         wanted = environments[0].single_action_space
         if not _same(model.action_space, wanted):
             raise InputError(
