@@ -7,7 +7,7 @@ from typing import Any
 
 from nicegui import ui
 
-from ..identification.report.answers import verdict_sentence
+from ..identification.report.answers import tone_of_remainder, verdict_sentence
 from ..identification.report.saved_result import next_command
 from ..recordings import load_machine
 from .session import MACHINE, RESULT
@@ -58,8 +58,7 @@ class ResultsStage(Stage):
         page = self.session.path(RESULT, "report.html")
         if not page.exists():
             sentence = verdict_sentence(report, list(corrected.output_channels))
-            tone = "warning" if report["verdict"] == "unexplained" else "good"
-            banner(tone, _TITLES[report["verdict"]], sentence)  # type: ignore[arg-type]
+            banner(tone_of_remainder(report), _TITLES[report["verdict"]], sentence)
         with ui.element("div").classes("hf-row"):
             command = next_command(report["verdict"], corrected, self.session.path(RESULT))
             if command.startswith("hframe evaluate"):

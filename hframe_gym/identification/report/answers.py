@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -208,7 +208,7 @@ def _largest_deviation(
     return f", up to {number(size)} {unit} at {channels[j]} after {after_s:.3g} s"
 
 
-def tone_of_remainder(report: Mapping[str, Any]) -> str:
+def tone_of_remainder(report: Mapping[str, Any]) -> Literal["good", "neutral", "warning"]:
     """Return the tone of the page, which follows from the error that is left and not from the names that were found.
 
     Args:
