@@ -14,7 +14,16 @@ from rich.table import Table
 from ..dynamics import mode_frequencies
 from ..effects import EFFECTS
 from ..effects.smooth_table import TABLE_FAMILY
-from ..machine import BUILTIN_MACHINES, METERS, AxisUnit, Machine, Row, motion_limits, rigid_motions
+from ..machine import (
+    BUILTIN_MACHINES,
+    DRIVE_KINDS,
+    METERS,
+    AxisUnit,
+    Machine,
+    Row,
+    motion_limits,
+    rigid_motions,
+)
 from ..registry import load_plugins
 from ..web_page import number
 
@@ -354,20 +363,25 @@ def _belt_table(machine: Machine) -> Table:
 
 
 def _drive_table(machine: Machine) -> Table:
-    """Format the drives."""
-    table = _titled("drives", "name", "channel", "moves", "Kt", "Ke", "R", "gear ratio", "rated")
-    keys = ("Kt", "Ke", "resistance", "gear_ratio")
+    """Format the drives; the parameters of laws have one column, because each kind has others."""
+    others = any(d.kind != "voltage" for d in machine.drives)
+    titles = {"Kt": "Kt", "Ke": "Ke", "resistance": "R", "gear_ratio": "gear ratio"}
+    titles = {k: title for k, title in titles.items() if any(k in d.parameter_names for d in machine.drives)}
+    columns = [*(["kind"] if others else []), "channel", "moves", *titles.values()]
+    columns += ["law"] if machine.drive_laws else []
+    table = _titled("drives", "name", *columns, "rated")
     for d in machine.drives:
-        cells = [
-            _cell(machine, f"{d.name}.{key}", getattr(d, key)) if key in d.parameter_names else ""
-            for key in keys
-        ]
-        table.add_row(
-            *map(
-                escape,
-                (d.name, d.channel, d.coordinate, *cells, f"{d.rated_voltage:g} {machine.command_unit(d)}"),
-            )
-        )
+        cells = [d.kind] if others else []
+        cells += [d.channel, d.coordinate]
+        for key in titles:
+            has = key in d.parameter_names
+            cells.append(_cell(machine, f"{d.name}.{key}", getattr(d, key)) if has else "")
+        if machine.drive_laws:
+            defaults = DRIVE_KINDS.get(d.kind).defaults
+            stated = {key: value for key, value in d.law_parameters.items() if defaults.get(key) != value}
+            lines = [f"{key} {_cell(machine, f'{d.name}.{key}', value)}" for key, value in stated.items()]
+            cells.append("\n".join(lines))
+        table.add_row(*map(escape, (d.name, *cells, f"{d.rated_voltage:g} {machine.command_unit(d)}")))
     return table
 
 

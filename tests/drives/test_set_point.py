@@ -1,16 +1,19 @@
 """Drives that follow a set point: against the independent simulator, from the file to control."""
 
+import dataclasses
 import json
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
-from hframe_gym import load_machine, simulate
+from hframe_gym import load_machine, make_controller, simulate
 from hframe_gym.data_validation import check_recordings
 from hframe_gym.errors import InputError
 from hframe_gym.identification import identify
 from hframe_gym.machine import Coordinate, Drive, Machine, Sensor
-from hframe_gym.recordings import Recording, machine_to_dict, save_machine
+from hframe_gym.recordings import Recording, load_recording, machine_to_dict, save_machine
+from hframe_gym.recordings.logs import ImportSettings, MappingOptions, import_logs, open_logs, propose_columns
 from tests.dynamics.test_reference_step import largest_difference
 from tests.reference_simulator.axis import Axis, Servo, held_levels, record
 
@@ -103,6 +106,27 @@ def test_a_machine_file_states_kind_and_gains(kind: str, tmp_path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("kind", "header", "factor"),
+    [("position", "goal [deg]", 180.0 / np.pi), ("speed", "velocity command [rpm]", 30.0 / np.pi)],
+)
+def test_import_takes_the_set_point_and_not_the_measurement(
+    kind: str, header: str, factor: float, tmp_path
+) -> None:
+    machine, time_s = servo_machine(kind, SERVOS[kind]), np.arange(60) * PERIOD
+    command, angle = np.sin(7.0 * time_s), np.sin(5.0 * time_s)
+    table = np.column_stack([time_s, angle, factor * command])
+    names = f"time [s],angle [rad],{header}"
+    np.savetxt(tmp_path / "log.csv", table, fmt="%.17g", delimiter=",", header=names, comments="")
+    (log,) = open_logs(tmp_path / "log.csv")
+    assert propose_columns(log, machine).proposed == {"command": header, "phi_rad": "angle [rad]"}
+    settings = ImportSettings(MappingOptions({"command": header, "phi_rad": "angle [rad]"}))
+    (written,) = import_logs(tmp_path / "log.csv", tmp_path / "out", machine, settings, lambda line: None)
+    recording = load_recording(written, machine)
+    np.testing.assert_allclose(recording.inputs[:, 0], command, atol=1e-12)
+    np.testing.assert_allclose(recording.outputs[:, 0], angle, atol=1e-12)
+
+
+@pytest.mark.parametrize(
     ("change", "message"),
     [
         ({"parameters": {}}, r"drives\.motor\.parameters\.position_gain: missing"),
@@ -136,3 +160,18 @@ def test_unknown_and_wrong_parameters_of_the_law_are_named(tmp_path) -> None:
     (tmp_path / "servo.json").write_text(json.dumps(content))
     with pytest.raises(InputError, match=r"drives\.motor\.parameters: .*speed_gain = -1 is outside"):
         load_machine(tmp_path / "servo.json")
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize("kind", ["position", "speed"])
+def test_a_servo_turns_to_its_goal(kind: str) -> None:
+    machine = servo_machine(kind, SERVOS[kind])
+    shaft = dataclasses.replace(machine.coordinates[0], range=(-1.2, 1.2))
+    env = gym.make("HFrame-v0", machine=machine.replace(coordinates=(shaft,)), randomize="default")
+    controller = make_controller("set-point", env)
+    observation, _ = env.reset(seed=2)
+    for _ in range(60):
+        observation, *_ = env.step(controller.act(observation))
+    # Without an integral, friction holds the shaft within Coulomb friction over stiffness, 9 mrad.
+    error = abs(float((observation["achieved_goal"] - observation["desired_goal"])[0]))
+    assert error < (0.02 if kind == "position" else 1e-3)

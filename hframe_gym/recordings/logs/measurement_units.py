@@ -128,8 +128,9 @@ def channel_dimension(machine: Machine, channel: str) -> Dimension:
 
     Returns:
         "time"; for an output that of its unit, such as "length", "angular speed" or "current". For an input, the
-        command of its drive: "duty cycle", "current" or "torque"; if the drive has voltages, "current", "torque" or
-        "force" where the channel's name ends in _A, _Nm or _N, else "voltage".
+        command of its drive: "duty cycle", "current" or "torque", for a set point "angle", "linear speed" and the like;
+        if the drive has voltages, "current", "torque" or "force" where the channel's name ends in _A, _Nm or _N, else
+        "voltage".
     """
     if channel == TIME:
         return "time"
@@ -137,6 +138,8 @@ def channel_dimension(machine: Machine, channel: str) -> Dimension:
         drive = machine.drives[machine.input_channels.index(channel)]
         if DRIVE_KINDS.get(drive.kind).fraction:
             return "duty cycle"
+        if drive.law:
+            return _DIMENSION_OF_UNIT[machine.command_unit(drive)]
         # A drive of voltages whose Ke is 0 may control the current, the torque or the force that its channel names.
         unit = split_unit(channel)[1] if drive.command == "voltage" else machine.command_unit(drive)
         return _COMMANDS.get(unit, "voltage")
@@ -166,7 +169,8 @@ def accepted_units(machine: Machine, channel: str) -> dict[str, UnitConversion]:
     for unit, factors in UNITS[dimension].items():
         remark = f"{unit} to {SI_UNITS[dimension]}" if unit != SI_UNITS[dimension] else ""
         conversions[unit] = UnitConversion(Conversion(*factors), False, remark)
-    for unit, factors in SPEED_UNITS.get(dimension, {}).items():
+    speeds = SPEED_UNITS.get(dimension, {}) if channel in machine.output_channels else {}
+    for unit, factors in speeds.items():
         conversions[unit] = UnitConversion(Conversion(*factors), True, f"speed in {unit}, {_INTEGRATED}")
     drive = _shaft_drive(machine, channel)
     if drive is not None:
