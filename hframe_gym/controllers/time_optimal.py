@@ -42,7 +42,7 @@ SMOOTHED_REVERSAL_SPEED = 0.01  # m/s, v0 of the smoothed friction; moves reach 
 EFFORT_WEIGHT_S = (
     1e-6  # s, weight of the mean squared voltage: selects one of several motions of nearly equal T
 )
-LONGEST_S, LARGEST_TRAVEL_M, LARGEST_SPEED = 5.0, 5.0, 10.0  # s, m, m/s: bounds of the search
+LONGEST_S, LARGEST_TRAVEL_M, LARGEST_SPEED = 5.0, 5.0, 10.0  # s, m, m/s: bounds of the search, at least
 # By default IPOPT starts so far inside the voltage limits that T first grows fourfold; the last barrier of 1e-7 s per
 # limit leaves T at most 0.05 ms above its minimum.
 IPOPT_OPTIONS: dict[str, Any] = {
@@ -123,6 +123,18 @@ class TimeOptimalReach:
         """Smallest and largest T, s."""
         return 1e-4, LONGEST_S
 
+    def _largest_motion(self) -> tuple[float, float]:
+        """Return the bounds of travel and speed, m and m/s: wide enough for the workspace and the no-load speed."""
+        machine = self.machine
+        ends = [max(map(abs, limits)) if limits else 0.0 for limits in machine.axis_ranges]
+        no_load = [
+            d.rated_voltage / (d.Ke * d.gear_ratio) * machine.coordinate(d.coordinate).travel_per_unit
+            for d in machine.drives
+            if d.Ke > 0.0
+        ]
+        reach = float(np.max(np.array(ends) * self._radii, initial=0.0))
+        return max(LARGEST_TRAVEL_M, 2.0 * reach), max(LARGEST_SPEED, 2.0 * max(no_load, default=0.0))
+
     def _grid(self, duration: Any) -> list[tuple[Any, Any]]:
         """Return begin and length of the collocation intervals, s; the voltages change with each."""
         moving, holding = self.intervals
@@ -143,7 +155,8 @@ class TimeOptimalReach:
         parameters = ca.SX.sym("parameters", len(self.machine.parameters))
         model = SymbolicModel(self.machine, parameters, start, self.reversal_speed)
         unknowns, limits = [duration], [self._duration_limits]
-        state_limits = [(-LARGEST_TRAVEL_M, LARGEST_TRAVEL_M)] * n + [(-LARGEST_SPEED, LARGEST_SPEED)] * n
+        travel, speed = self._largest_motion()
+        state_limits = [(-travel, travel)] * n + [(-speed, speed)] * n
         equalities, inequalities = [], []  # must be zero; must not be positive
         effort, state, action = ca.SX(0.0), start, ca.SX.zeros(drives)
         for k, (begin, length) in enumerate(self._grid(duration)):

@@ -59,6 +59,19 @@ def test_one_axis_without_motor_coordinate_has_features_of_error_and_speed():
     assert float(extractor(observation).abs().max()) > 0.05
 
 
+def test_features_of_a_rotary_axis_are_those_of_the_way_of_an_arm():
+    motor, axis = BUILTIN_MACHINES["motor"](), BUILTIN_MACHINES["axis"]()
+    features = []
+    for machine, length in ((motor, 1.0), (axis, 0.1)):
+        space = observation_space(machine)
+        extractor = LogScaleFeatures(space, **feature_parameters(machine))
+        observation = {key: torch.zeros((1, *box.shape)) for key, box in space.items()}
+        observation["observation"][0] = length * torch.tensor([0.4, -2.0])  # rad and rad/s of the motor
+        observation["desired_goal"][0, 0] = length * 0.3
+        features.append(extractor(observation))
+    torch.testing.assert_close(features[0], features[1], rtol=1e-5, atol=1e-6)
+
+
 def test_features_of_transfers_that_the_machine_lacks_are_refused():
     axis = BUILTIN_MACHINES["axis"]()
     with pytest.raises(InputError, match=r"transfers are \[0, 27\]; machine 'axis' has those of 0 to 24"):

@@ -197,6 +197,23 @@ def test_motions_have_as_many_frames_as_a_display_shows(tmp_path: Path) -> None:
     assert motions[1]["volts"][3] == [1.0]
 
 
+def test_a_rotary_axis_is_an_arm_that_follows_the_angle(tmp_path: Path) -> None:
+    motor = BUILTIN_MACHINES["motor"]()
+    drawing = drawing_of(motor)
+    assert drawing is not None
+    arm = next(shape for shape in drawing["shapes"] if shape["role"] == "belt")
+    end = arm["points"][1]
+    assert end == [0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+    lines = ["episode,time_s,shaft_rad,shaft_goal_rad,v_V"]
+    lines += [f"0,{k * 1e-3},{k * 0.01},1.0,{k}" for k in range(101)]
+    path = tmp_path / "pid.csv"
+    path.write_text("\n".join(lines))
+    (motion,) = read_motions(path, motor)
+    assert motion["unit"] == "mrad"
+    assert motion["distance"][0] == pytest.approx(1000.0)
+    assert motion["tool"][-1] == pytest.approx((0.1 * np.cos(1.0), 0.1 * np.sin(1.0)))
+
+
 @pytest.mark.parametrize("text", ["2", "a:3", "log=3:3", "4:2", "1:2:3", "nan:3"])
 def test_an_interval_that_cannot_be_is_refused(text: str) -> None:
     with pytest.raises(InputError, match="--cut"):

@@ -251,3 +251,12 @@ def test_held_voltages_approach_free_ones_as_the_period_shrinks(hframe_problem: 
     assert fine.solved
     assert coarse.solved
     assert free - 1e-4 < fine.time_s < coarse.time_s
+
+
+def test_a_fast_motor_turns_in_the_least_time_whatever_the_radius_of_its_coordinate() -> None:
+    motor = BUILTIN_MACHINES["motor"]()
+    for radius in (0.02, 0.1, 1.0):  # m; without a belt it has no influence
+        machine = motor.replace({"shaft.radius": radius})
+        motion = TimeOptimalReach(machine, band=2e-3, reversal_speed=0.01 * radius).solve((0.0,), (3.0,))
+        assert motion.solved
+        assert motion.time_s == pytest.approx(bang_bang_time(motor, 3.0, 2e-3), rel=0.01)
