@@ -307,3 +307,35 @@ def test_blocks_of_the_page_run_in_order(tmp_path: Path, monkeypatch: pytest.Mon
     assert json.loads((tmp_path / "printer_found" / "report.json").read_text())["verdict"] == "no_effect"
     scores = json.loads((tmp_path / "printer_pid" / "scores.json").read_text())
     assert scores["controllers"]["pid"]["success"]["0.2mm"] == 1.0
+
+
+@pytest.mark.parametrize(("task", "key"), [("reach", "final_error_mrad"), ("track", "tracking_mrad")])
+def test_evaluate_scores_a_rotary_axis_in_mrad(
+    task: str, key: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The table, the files and the page have angles."""
+    out = tmp_path / "scores"
+    words = [
+        "evaluate",
+        "pid",
+        "--machine",
+        "motor",
+        "--task",
+        task,
+        "--episodes",
+        "4",
+        "--html",
+        "--motions",
+        "1",
+    ]
+    monkeypatch.setattr(sys, "argv", ["hframe", *words, "--out", str(out)])
+    with contextlib.suppress(SystemExit):
+        cli.main()
+    assert "mrad" in capsys.readouterr().out
+    scores = json.loads((out / "scores.json").read_text())["controllers"]["pid"]
+    assert list(scores["success"]) == ["10mrad", "2mrad", "0.5mrad"]
+    assert key in scores
+    page = (out / "scorecard.html").read_text()
+    assert " mrad" in page
+    assert " mm" not in page
+    assert (out / "pid.csv").read_text().splitlines()[0].split(",")[2:4] == ["shaft_rad", "shaft_goal_rad"]
