@@ -71,12 +71,17 @@ def test_runs_show_shapes_only_within_their_motion(
     assert coverage(EFFECTS[name].parameter(parameter), scales) == pytest.approx((low, high))
 
 
+def rows_of(data: Dataset) -> int:
+    """Return the number of rows of all runs."""
+    return sum(len(run.time_s) for run in data.runs)
+
+
 def test_a_period_longer_than_the_travel_is_no_candidate() -> None:
     data = sines([[1.0], [0.4]])
     fitted = fit(AXIS, default_free_parameters(AXIS), data, 60.0)
     scales = typical_scales(fitted, data)
     travel = scales.of("x")["position"]
-    position = travel * np.sin(np.linspace(0.0, 6.0, 3000)) / 2.0
+    position = travel * np.sin(np.linspace(0.0, 6.0, rows_of(data))) / 2.0
     missing = {"x": np.column_stack([position, np.gradient(position), np.cos(4.0 * position / travel)])}
     periods = [
         candidate.columns[0]["L"]
@@ -109,6 +114,6 @@ def test_what_the_runs_do_not_limit_may_be_negative(name: str, site: str, parame
     effect = definition.at(site, **{p.name: 0.0 for p in definition.parameters})
     free = {f.name: f for f in effect_parameters(effect, AXIS.with_effects(effect), scales)}
     assert free[f"{effect.label}.{parameter}"].lower < 0.0
-    missing = {"x": np.zeros((100, 3))}
+    missing = {"x": np.zeros((rows_of(data), 3))}
     proposed = [c for c in candidates(AXIS, data, scales, missing) if c.effect.name == "cable_spring"]
     assert len(proposed) == 3  # the spring is relaxed at the middle or at one of two ends
