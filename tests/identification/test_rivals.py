@@ -69,3 +69,13 @@ def test_an_effect_without_a_companion_of_its_kind_has_no_further_rivals() -> No
     # A spring has two parameters: no fit can start from its absence.
     springs = spring, EFFECTS["cable_spring"].at("y", k=6.0, q0=0.05)
     assert rivals.rivals_in_combination(springs[0], (), [springs[1]], HFRAME.with_effects(*springs)) == ()
+
+
+def test_an_effect_that_adds_coordinates_keeps_its_rivals_untried() -> None:
+    """Without it, other parts of the machine would have no mass: no rival can take its place."""
+    resonance = EFFECTS["frame_resonance"].at("x", f0=20.0, zeta=0.05, r=0.2, s=0.0)
+    current = dataclasses.replace(fit_with(chi2=1.0), machine=AXIS.with_effects(resonance))
+    compared = rivals.compare_rivals(
+        current, resonance.label, (PUSH,), axis_runs(AXIS, rows=20, volts=3.0), CRITERIA
+    )
+    assert compared == (None, (PUSH,))

@@ -153,7 +153,7 @@ def compare_rivals(
         current: Fit of the machine with all effects (deviations from the model).
         label: Label (name@component) of the effect to compare.
         rivals: Its rivals. Those that add coordinates (structural effects) and those that the machine already has are
-            not tried. If another effect requires the effect to compare, no rival is tried.
+            not tried. None is tried for an effect that adds coordinates, or that another effect requires.
         data: Prepared recordings to fit (times, voltages, measurements, SI).
         criteria: Decision thresholds.
         in_combination: Further rivals, from `rivals_in_combination`, whose size is not known yet.
@@ -166,9 +166,9 @@ def compare_rivals(
             were not tried.
     """
     rivals = (*rivals, *in_combination)
-    present = {effect.label for effect in current.machine.effects}
+    present = {effect.label: effect for effect in current.machine.effects}
     possible = [rival for rival in rivals if not rival.definition.structure and rival.label not in present]
-    if not possible or is_required(current.machine, label):
+    if not possible or present[label].definition.structure or is_required(current.machine, label):
         return ComparedRivals(None, tuple(rivals))
 
     def margin_of(fitted: Fit, fitted_label: str) -> float:
