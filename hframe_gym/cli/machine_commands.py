@@ -32,6 +32,14 @@ def simulate(
     inputs: Annotated[Path, typer.Option(help="A recording; the columns time_s and the voltages suffice.")],
     out: Annotated[Path, typer.Option(help="File for the simulated recording (.csv or .csv.gz).")],
     machine: MachineOption = "hframe",
+    updates: Annotated[
+        int,
+        typer.Option(
+            min=1,
+            help="How often the controller changed the voltages from one row to the next; "
+            "more than once, they are interpolated.",
+        ),
+    ] = 1,
 ) -> None:
     """Simulate a machine with the voltages of a recording; write what its sensors would have measured.
 
@@ -48,7 +56,7 @@ def simulate(
         raise InputError(f"--out {out}: must end in .csv or .csv.gz")
     declared = load_machine(machine)
     recording = load_recording(inputs, declared, outputs_needed=False)
-    simulation = simulate_recording(declared, recording)
+    simulation = simulate_recording(declared, recording, updates=updates)
     for warning in simulation.initial.warnings:
         log(f"warning: {recording.name}: {warning}")
     write_trajectory(out, simulation.trajectory, recording.inputs, declared)

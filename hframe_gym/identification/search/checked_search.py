@@ -47,7 +47,8 @@ _HINT = (
 
 _BETWEEN_ROWS = (
     "In this log, {}. They are interpolated; what the controller did between the rows beyond that adds up to an error "
-    "of every simulation. Log at the rate of the controller, or log the mean voltage between rows."
+    "of every simulation. Log at the rate of the controller, or log the mean voltage between rows. `hframe simulate` "
+    "interpolates them with --updates {}."
 )
 
 
@@ -159,7 +160,9 @@ def _search_and_check(
     data, held_out = with_lost_voltages(
         known, data.with_updates(updates.per_row), held_out.with_updates(updates.per_row), log
     )
-    return search(data, held_out)._replace(messages=(*unused, *excluded, _BETWEEN_ROWS.format(changes)))
+    return search(data, held_out)._replace(
+        messages=(*unused, *excluded, _BETWEEN_ROWS.format(changes, updates.per_row))
+    )
 
 
 def _search(
