@@ -227,10 +227,12 @@ def make_report(path: Path) -> None:
     if browser is None:
         raise SystemExit("the picture of the report needs Chromium: apt-get install chromium")
     with tempfile.TemporaryDirectory() as folder:
-        report = Path(os.environ.get("README_REPORT", Path(folder) / "rig_a"))
+        report = Path(os.environ.get("README_REPORT", Path(folder) / "out" / "rig_a"))
         if not (report / "report.html").is_file():
-            command = [sys.executable, "-m", "hframe_gym", "identify", "examples/rig_a", "--out", str(report)]
-            subprocess.run(command, cwd=ROOT, check=True)
+            runs = str(ROOT / "examples" / "rig_a")
+            # In the folder, so that the commands on the page have the short paths that users see.
+            command = [sys.executable, "-m", "hframe_gym", "identify", runs, "--out", "out/rig_a"]
+            subprocess.run(command, cwd=folder, env=os.environ | {"PYTHONPATH": str(ROOT)}, check=True)
         screenshot(browser, (report / "report.html").as_uri(), path, REPORT_SIZE)
     with Image.open(path) as picture:
         picture.convert("RGB").quantize(128, Image.Quantize.MEDIANCUT).save(path, optimize=True)

@@ -660,6 +660,9 @@ def test_an_unexplained_error_is_stated_in_the_users_terms_with_a_hint(data: Dat
         "share": 0.62,
         "nearest": ["current_limit@motor", "load_friction@motor"],
     }
+    (now, command) = re.search(r"<dt>What now</dt><dd>([^<]*)<pre[^>]*><code>([^<]*)</code>", page).groups()
+    assert "The search ended early" in now
+    assert command.endswith("--budget inf")
     assert report["before"]["missing_force_percent"] == pytest.approx(0.37)
     assert report["before"]["held_out"]["x_m"]["percent_of_motion"] == pytest.approx(2.1)
     table = identification_table(report, AXIS.output_channels)

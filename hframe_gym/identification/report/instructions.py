@@ -79,9 +79,9 @@ def next_steps(
         text = "A formula is proposed in place of the table; review it and write it as an effect."
         steps.append(_step(text, f"hframe effects new NAME --from {folder}"))
     if report["verdict"] == "unexplained":
-        return [*steps, *_measurements(report), *findings]
+        return [*_continued(saved, folder), *steps, *_measurements(report), *findings]
     control = _control(report["verdict"], machine, folder, bool(effects))
-    return [*steps, control, *_measurements(report), *findings]
+    return [*steps, control, *_continued(saved, folder), *_measurements(report), *findings]
 
 
 def _step(text: str, command: str = "") -> dict[str, str]:
@@ -109,6 +109,14 @@ def _recordings(
             if effect[kind]:
                 return [_step(f"{why} {effect['name']} at {effect['site']} from {effect[kind][0]}.")]
     return []
+
+
+def _continued(saved: SavedResult, folder: Path) -> list[dict[str, str]]:
+    """Return the step that repeats a search that ended early."""
+    if not saved.report.get("unfinished"):
+        return []
+    text = "The search ended early: repeat it without a limit. Ctrl-C ends it with what was found until then."
+    return [_step(text, f"{_again(saved, folder)} --budget inf")]
 
 
 def _isolating(report: Mapping[str, Any]) -> str:
