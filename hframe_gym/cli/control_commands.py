@@ -116,7 +116,8 @@ def train(
             algorithm, declared, task, steps, seeds[0], resume, out, log, progress, randomize, trust, force
         )
     options = option_words(machine=machine, task=task, randomize=randomize, out=str(out / "scores"))
-    log(f"wrote {out}. Next: hframe evaluate {quoted(str(out))} pid{options} --html")
+    controller = "set-point" if declared.drive_laws else "pid"
+    log(f"wrote {out}. Next: hframe evaluate {quoted(str(out))} {controller}{options} --html")
 
 
 def _train_seeds(out: Path, **options: Any) -> None:
