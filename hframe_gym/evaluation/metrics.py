@@ -67,7 +67,7 @@ def score_episodes(
         The metrics of the set (see `reach_metrics` and `track_metrics`) and four scores, by name. Each score has two
         entries: `mean` over the episodes and `ci95`, [lower, upper limit] of its 95 % confidence interval. The scores:
 
-        - `energy_J`: electrical energy drawn minus energy fed back, J.
+        - `energy_J`: electrical energy drawn minus energy fed back, J; only for drives of voltages.
         - `voltage_variation`: sum over drives and periods of the absolute voltage change, from 0 V at the start, V.
         - `saturation_share`: fraction of drives and control periods at rated voltage, 0 to 1.
         - `peak_belt_force_N`: largest absolute difference between the tension of a belt and its pretension, N.
@@ -79,8 +79,9 @@ def score_episodes(
     variation = np.abs(np.diff(episodes.volts, axis=1, prepend=0.0)).sum(axis=(1, 2))
     saturated = (np.abs(episodes.volts) >= SATURATED * episodes.rated).mean(axis=(1, 2))
     name = metrics or ("reach" if episodes.contour is None else "track")
+    energy = {} if episodes.energy_J is None else {"energy_J": mean_with_interval(episodes.energy_J, seed)}
     return METRICS.get(name)(episodes, bound_s, seed) | {
-        "energy_J": mean_with_interval(episodes.energy_J, seed),
+        **energy,
         "voltage_variation": mean_with_interval(variation, seed),
         "saturation_share": mean_with_interval(saturated, seed),
         "peak_belt_force_N": mean_with_interval(episodes.peak_belt_force_N, seed),

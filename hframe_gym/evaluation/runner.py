@@ -193,7 +193,8 @@ class _Recorder:
             peak = np.maximum(peak, loads.largest_tension(in_period))
             travel = travel[-1:]
         time_s = self.sample_s * np.arange(samples, dtype=np.float64)
-        return Episodes(time_s, position, goal, contour, volts, rated, energy, peak, machine.axis_unit)
+        known = energy if all(drive.command == "voltage" for drive in machine.drives) else None
+        return Episodes(time_s, position, goal, contour, volts, rated, known, peak, machine.axis_unit)
 
 
 class _Loads:

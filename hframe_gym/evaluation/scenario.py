@@ -135,7 +135,8 @@ class Episodes:
         contour: Distance of the tool to the path (contour error), m, shape (B, n); None for a task without a path.
         volts: Applied voltages, V, shape (B, m, drives).
         rated: Rated voltages, V, shape (drives,).
-        energy_J: Energy from the supply minus energy fed back, J, shape (B,).
+        energy_J: Energy from the supply minus energy fed back, J, shape (B,); None if drives take other commands than
+            voltages, whose energy the simulation does not know.
         peak_belt_force_N: Largest difference between a belt's tension and its pretension, N, shape (B,).
         unit: Unit of the tool position.
     """
@@ -146,7 +147,7 @@ class Episodes:
     contour: Array | None
     volts: Array
     rated: Array
-    energy_J: Array
+    energy_J: Array | None
     peak_belt_force_N: Array
     unit: AxisUnit = METERS
 

@@ -6,11 +6,12 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from hframe_gym import InputError, load_machine, make_controller
+from hframe_gym import InputError, evaluate, load_machine, make_controller
 from hframe_gym.controllers.set_point import SetPointController
 from hframe_gym.exporters import EXPORTERS
 from hframe_gym.exporters.friction_map import friction_parts
 from hframe_gym.machine import Drive, Machine, rest_positions_per_axis
+from tests.dynamics.test_derivatives import Case
 from tests.identification.control_of_kinds import action_of_a_trained_agent
 
 GAINS = {"speed_gain": 0.02, "integral_rate": 10.0, "torque_limit": 0.5}
@@ -67,6 +68,14 @@ def test_the_tool_arrives_without_a_lasting_vibration(kind: str) -> None:
 def test_the_tool_follows_a_moving_goal_from_measurements() -> None:
     env = gym.make("HFrameTrack-v0", machine=with_loops("position"))
     assert max(largest_errors(env, 100)[50:]) < 2e-3
+
+
+@pytest.mark.integration
+def test_an_evaluation_states_no_energy_of_drives_that_take_set_points() -> None:
+    result = evaluate(["set-point"], machine=with_loops("position", "axis"), episodes=4, duration_s=0.5)
+    score = result.scores["controllers"]["set-point"]
+    assert score["success"]["1mm"] == 1.0
+    assert "energy_J" not in score
 
 
 def test_the_means_of_the_reference_excite_no_vibration() -> None:
@@ -126,6 +135,15 @@ def test_a_friction_map_is_that_of_the_machine_without_loops() -> None:
     parts = [np.array(friction_parts(m, 0, speed, None, position, 0.0)) for m in (machine, plain)]
     np.testing.assert_array_equal(*parts)
     assert np.all(parts[0][0] != 0.0)
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize("kind", ["position", "speed"])
+def test_the_derivatives_of_motions_contain_the_loops(kind: str) -> None:
+    case = Case(with_loops(kind, "axis"))
+    case.arrays["inputs"] *= 0.02  # so that not all torques are at their limits
+    for name in ("start", "inputs", "parameters"):
+        assert max(case.errors(name)) < 1e-6
 
 
 @pytest.mark.train

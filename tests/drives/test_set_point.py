@@ -18,6 +18,7 @@ from tests.dynamics.test_reference_step import largest_difference
 from tests.reference_simulator.axis import Axis, Servo, held_levels, record
 
 ROWS, PERIOD = 500, 5e-3
+KT = 0.02  # Nm/A
 # An industrial drive of the speed behind a gear, and a hobby servo: a proportional-derivative loop of the position.
 SERVOS = {
     "speed": Servo(speed_gain=2e-3, reset_time=0.05, largest_torque=0.03, gear=3.0),
@@ -70,26 +71,42 @@ def test_the_generated_step_is_the_specified_one(kind: str) -> None:
     assert largest_difference(machine) < 1e-12
 
 
-@pytest.mark.oracle
-@pytest.mark.parametrize("kind", ["speed", "position"])
-def test_identification_finds_gains_inertia_friction_and_limit(kind: str) -> None:
-    servo, resolution = SERVOS[kind], SENSORS[kind].resolution
+def recordings_of(kind: str, servo: Servo, sensors: tuple[Sensor, ...]) -> list[Recording]:
+    """Return recordings of the independent simulator with rounded measurements of the angle and of the current."""
     recordings = []
     for run in range(4):
         motion = record(Axis(servo=servo), held_levels(run, ROWS, 40, LARGEST[kind]), ROWS, PERIOD)
-        angle = np.rint(motion.position / resolution) * resolution
-        recordings.append(Recording(f"run_{run}", motion.time_s, motion.command[:, None], angle[:, None]))
-    true = servo_machine(kind, servo).parameters
+        measured = [motion.position, motion.current / KT][: len(sensors)]
+        columns = [np.rint(m / s.resolution) * s.resolution for m, s in zip(measured, sensors, strict=True)]
+        recordings.append(
+            Recording(f"run_{run}", motion.time_s, motion.command[:, None], np.column_stack(columns))
+        )
+    return recordings
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("kind", ["speed", "position"])
+def test_identification_finds_gains_inertia_friction_and_limit(kind: str) -> None:
+    # The hobby servo reports its current, which determines the unit of force.
+    sensors = (SENSORS[kind], Sensor("i_A", {"motor": 1.0 / KT}, 0.0, 0.02, "current"))
+    sensors = sensors if kind == "position" else sensors[:1]
+    recordings = recordings_of(kind, SERVOS[kind], sensors)
+    machine = servo_machine(kind, SERVOS[kind]).replace(sensors=sensors)
+    true = machine.parameters
     wrong = {"shaft.mass": 1.3, "shaft.coulomb": 1.4, "motor.torque_limit": 0.75}
-    wrong["motor.integral_rate" if kind == "speed" else "motor.position_gain"] = 0.7
-    declared = servo_machine(kind, servo).replace({name: f * true[name] for name, f in wrong.items()})
+    if kind == "speed":
+        wrong["motor.integral_rate"] = 0.7
+    else:
+        wrong |= {"motor.position_gain": 0.7, "motor.speed_gain": 1.3}
+    declared = machine.replace({name: f * true[name] for name, f in wrong.items()})
     assert [f for f in check_recordings(recordings, declared) if f.severity == "fault"] == []
     result = identify(recordings, declared)
     assert result.verdict == "no_effect"
     found = result.after.machine.parameters
     for name in wrong:
         assert found[name] == pytest.approx(true[name], rel=1e-2), name
-    assert found["motor.speed_gain"] == true["motor.speed_gain"]  # it sets the unit of force
+    if kind == "speed":  # without a current, this gain sets the unit of force
+        assert found["motor.speed_gain"] == true["motor.speed_gain"]
     assert result.after.held_out.channels["phi_rad"].noise_ratio < 1.2
 
 
