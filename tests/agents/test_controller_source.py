@@ -27,6 +27,7 @@ def test_names_of_the_shipped_agents():
         "apg_predictive",
         "apg_wide",
         "ppo",
+        "ppo_mix",
         "residual",
         "sac",
     )
