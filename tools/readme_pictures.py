@@ -1,13 +1,14 @@
-"""Make the pictures of README.md: the animation of two controllers, and the report of an identification.
+"""Make pictures of README.md and docs/reports.md: two controllers in motion, a report and a scorecard.
 
-    python -m tools.readme_pictures                     # both pictures
+    python -m tools.readme_pictures                     # all pictures
     python -m tools.readme_pictures --only animation
     python -m tools.readme_pictures --only report
+    python -m tools.readme_pictures --only scorecard
 
 The animation, docs/figures/controllers.webp, shows the model-based controller `pid` and the shipped agent `ppo` on the
 same episodes, drawn by the environment's renderer. The report, docs/figures/report_page.png, is the upper part of the
 page that `hframe identify examples/rig_a` writes, as headless Chromium displays it; it needs Chromium, and 15 to 60 s
-for the identification.
+for the identification. The scorecard, docs/figures/scorecard_page.png, compares two controllers in 64 episodes.
 """
 
 from __future__ import annotations
@@ -223,9 +224,6 @@ def make_report(path: Path) -> None:
     Raises:
         SystemExit: If there is no Chromium.
     """
-    browser = shutil.which("chromium") or shutil.which("google-chrome")
-    if browser is None:
-        raise SystemExit("the picture of the report needs Chromium: apt-get install chromium")
     with tempfile.TemporaryDirectory() as folder:
         report = Path(os.environ.get("README_REPORT", Path(folder) / "out" / "rig_a"))
         if not (report / "report.html").is_file():
@@ -233,7 +231,37 @@ def make_report(path: Path) -> None:
             # In the folder, so that the commands on the page have the short paths that users see.
             command = [sys.executable, "-m", "hframe_gym", "identify", runs, "--out", "out/rig_a"]
             subprocess.run(command, cwd=folder, env=os.environ | {"PYTHONPATH": str(ROOT)}, check=True)
-        screenshot(browser, (report / "report.html").as_uri(), path, REPORT_SIZE)
+        screenshot(_browser(), (report / "report.html").as_uri(), path, REPORT_SIZE)
+    _reduce_colors(path)
+
+
+def make_scorecard(path: Path) -> None:
+    """Evaluate two controllers and write a picture of the upper part of their scorecard.
+
+    Args:
+        path: PNG file.
+
+    Raises:
+        SystemExit: If there is no Chromium.
+    """
+    command = [sys.executable, "-m", "hframe_gym", "evaluate", "pid", "textbook-pid", "--episodes", "64"]
+    with tempfile.TemporaryDirectory() as folder:
+        environment = os.environ | {"PYTHONPATH": str(ROOT)}
+        subprocess.run([*command, "--html", "--out", "scores"], cwd=folder, env=environment, check=True)
+        screenshot(_browser(), (Path(folder) / "scores" / "scorecard.html").as_uri(), path, REPORT_SIZE)
+    _reduce_colors(path)
+
+
+def _browser() -> str:
+    """Return the path of Chromium."""
+    browser = shutil.which("chromium") or shutil.which("google-chrome")
+    if browser is None:
+        raise SystemExit("pictures of pages need Chromium: apt-get install chromium")
+    return browser
+
+
+def _reduce_colors(path: Path) -> None:
+    """Write a picture with fewer colors, so that the repository stays small."""
     with Image.open(path) as picture:
         picture.convert("RGB").quantize(128, Image.Quantize.MEDIANCUT).save(path, optimize=True)
 
@@ -260,12 +288,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--only", choices=("animation", "report"), help="make only this picture")
+    parser.add_argument("--only", choices=("animation", "report", "scorecard"), help="make only this picture")
     only = parser.parse_args().only
     os.environ.setdefault("SDL_VIDEODRIVER", "dummy")
     for name, make, path in (
         ("animation", make_animation, FIGURES / "controllers.webp"),
         ("report", make_report, FIGURES / "report_page.png"),
+        ("scorecard", make_scorecard, FIGURES / "scorecard_page.png"),
     ):
         if only in (None, name):
             make(path)

@@ -70,5 +70,5 @@ def test_an_unstable_period_is_stated() -> None:
 
 
 def test_a_machine_that_the_controllers_do_not_fit_is_refused() -> None:
-    with pytest.raises(InputError, match="machine 'hframe-order20': the controllers need a tool"):
+    with pytest.raises(InputError, match="machine 'hframe-order20': the controllers need one or two axes"):
         exported(load_machine("hframe-order20"), 0.01)
