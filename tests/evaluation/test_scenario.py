@@ -112,7 +112,7 @@ def test_pid_settles_from_rig_sensors() -> None:
         (
             "nobody",
             Scenario(),
-            "controller 'nobody' is unknown; choose pid, adaptive-pid, predictive, textbook-pid",
+            "controller 'nobody' is unknown; choose pid, adaptive-pid, predictive, set-point, textbook-pid",
         ),
         ("no_such_module:p", Scenario(), "cannot import 'no_such_module'"),
         ("textbook-pid", Scenario(sensors="rig"), "needs the full state"),
