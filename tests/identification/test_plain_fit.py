@@ -19,7 +19,7 @@ from hframe_gym.identification.fit.plain_fit import (
     outside_limits,
     plain_fit,
 )
-from hframe_gym.identification.validate.plain_comparison import describe_remainder
+from hframe_gym.identification.validate.plain_comparison import descriptions
 from hframe_gym.machine import BUILTIN_MACHINES, Machine, Sensor
 from hframe_gym.recordings import Recording
 
@@ -118,12 +118,10 @@ def test_what_is_left_is_described_in_simulation_without_naming_a_cause() -> Non
     plain = plain_fit(axis(TRUE), data)
     assert plain is not None
     before = prediction_cost(plain.machine, equally_weighted(data), 0.0)
-    found = describe_remainder(plain.simulated, data, SelectionCriteria(), print, Budget())
-    assert found is not None
-    fitted, labels = found
+    [(fitted, labels)] = descriptions(plain.simulated, data, SelectionCriteria(), print, Budget())
     assert labels == ("quadratic_drag@x",)
     assert prediction_cost(fitted.machine, equally_weighted(data), 0.0) < 0.01 * before
-    assert describe_remainder(plain.simulated, data, SelectionCriteria(), print, Budget(0.0)) is None
+    assert not list(descriptions(plain.simulated, data, SelectionCriteria(), print, Budget(0.0)))
 
 
 def test_a_description_ends_where_the_voltages_change_between_rows() -> None:
@@ -143,7 +141,7 @@ def test_a_description_ends_where_the_voltages_change_between_rows() -> None:
     plain = plain_fit(declared, data)
     assert plain is not None
     lines: list[str] = []
-    assert describe_remainder(plain.simulated, data, SelectionCriteria(), lines.append, Budget()) is None
+    assert not list(descriptions(plain.simulated, data, SelectionCriteria(), lines.append, Budget()))
     assert any("reduces chi-squared" in line for line in lines)  # an effect passed before
 
 

@@ -53,7 +53,7 @@ class SearchEffort(SaturationCriteria):
 
     min_trial_gain: float = 0.5
     max_effects: int = 5
-    max_full_fits: int = 5
+    max_full_fits: int = 6
     min_promise: float = 0.4
     rival_promise: float = 0.8
     min_structural_promise: float = 0.1

@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from ...preparation.dataset import Dataset
 from ..budget import Budget, BudgetEndedError
-from ..evidence.tried_effects import Log
+from ..evidence.tried_effects import Log, SelectedEffect
 from ..fit.estimation import Fit, prediction_cost
 from ..fit.plain_fit import PlainFit, equally_weighted, refined_equally
 from ..fit.voltage_updates import VoltagesChangeError
@@ -24,8 +25,9 @@ from .evaluation import Evaluated, without_names
 from .machine_errors import ModelEvaluation, error_ratio
 
 _MAX_EFFECTS = 2  # Each further one takes longer and removes less.
-_BUDGET_PART = 0.2  # of the budget of the identification
-_LONGEST = 30.0  # s of processor time
+_BUDGET_PART = 0.3  # of the budget of the identification
+_LONGEST = 45.0  # s of processor time
+_LAST = 0.95  # of the budget, at which a search ends, because its answer is simulated afterwards
 _REFINED = (
     "The parameters were fitted again in simulation, because the plain fit of inertia and friction predicted the "
     "held-out runs better."
@@ -158,46 +160,50 @@ def _described(
     start = min(
         (plain.simulated, refit), key=lambda fitted: prediction_cost(fitted.machine, equal, SIMULATION)
     )
-    found = describe_remainder(start, outcome.data, test.criteria, log, budget)
-    if found is None:
-        return None
-    fitted, labels = found
-    again = test.evaluate(outcome._replace(after=fitted))
-    ratio = error_ratio(again.after, base)
-    log(f"described by {', '.join(labels)}: {ratio:.3g} times the error on the held-out runs")
-    return (again, _DESCRIPTION.format(", ".join(labels), ratio)) if description_helps(ratio) else None
+    best, sentence = None, ""
+    for fitted, labels in descriptions(start, outcome.data, test.criteria, log, budget):
+        again = test.evaluate(outcome._replace(after=fitted))
+        ratio = error_ratio(again.after, base)
+        log(f"described by {', '.join(labels)}: {ratio:.3g} times the error on the held-out runs")
+        if description_helps(error_ratio(again.after, best.after if best else base)):
+            best, sentence = again, _DESCRIPTION.format(", ".join(labels), ratio)
+    return None if best is None else (best, sentence)
 
 
-def describe_remainder(
+def descriptions(
     start: Fit, data: Dataset, criteria: SelectionCriteria, log: Log, budget: Budget
-) -> tuple[Fit, tuple[str, ...]] | None:
-    """Add the effects that reduce the error of a simulation over complete runs most.
+) -> Iterator[tuple[Fit, tuple[str, ...]]]:
+    """Add the effects that reduce the error of a simulation over complete runs most, one after the other.
 
     Args:
         start: Fit in simulation, for example a plain fit.
         data: Runs to fit.
         criteria: Decision thresholds, of which the tests of single effects are used.
         log: Called with a line of text at each stage.
-        budget: Budget of the identification; what is left of it may be used, but at most a fifth of it and 30 s.
+        budget: Budget of the identification; what is left of it may be used for the searches, but at most 30 % of
+            it and 45 s.
 
-    Returns:
-        Fit with the effects in simulation (theta, shape (k,)), and their labels; None if no effect passes the tests.
+    Yields:
+        Fit with one more effect in simulation (theta, shape (k,)), and the labels of all; nothing if no effect passes
+        the tests, or after the budget.
     """
-    seconds = min(_BUDGET_PART * budget.seconds, _LONGEST, budget.seconds - budget.spent)
-    if budget.interrupted or seconds <= 0.0:
-        return None
+    seconds = min(_BUDGET_PART * budget.seconds, _LONGEST)
+    if budget.interrupted or budget.spent >= _LAST * budget.seconds:
+        return
     log("describing the remaining error of complete runs")
-    equal, part = equally_weighted(data), Budget(seconds)
+    equal = equally_weighted(data)
     cost = prediction_cost(start.machine, equal, SIMULATION)
-    at_start = dataclasses.replace(start, bandwidth=SIMULATION, cost=cost, count=equal.count)
-    search = EffectSearch(equal, start.machine, dataclasses.replace(criteria, max_effects=_MAX_EFFECTS), log)
-    try:
-        with part.limiting():
-            fitted, selected = search.run(at_start)
-    except (BudgetEndedError, VoltagesChangeError):  # what was found until then stands
-        if not search.reached:
-            return None
-        fitted, selected = search.reached
-    if not selected:
-        return None
-    return refined_equally(fitted, search.data), tuple(s.effect.label for s in selected)
+    current = dataclasses.replace(start, bandwidth=SIMULATION, cost=cost, count=equal.count)
+    selected: tuple[SelectedEffect, ...] = ()
+    for count in range(1, _MAX_EFFECTS + 1):
+        part = Budget(max(min(seconds, _LAST * budget.seconds - budget.spent), 0.0))
+        search = EffectSearch(equal, start.machine, dataclasses.replace(criteria, max_effects=count), log)
+        try:
+            with part.limiting():
+                current, found = search.run(current, selected)
+        except (BudgetEndedError, VoltagesChangeError):  # what was found until then stands
+            return
+        if len(found) == len(selected):
+            return
+        selected, equal, seconds = found, search.data, seconds - part.spent
+        yield refined_equally(current, equal), tuple(s.effect.label for s in selected)
