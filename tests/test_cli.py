@@ -177,7 +177,6 @@ def test_a_fault_in_the_data_stops_identify_and_is_the_exit_code_of_check(
         (("pid", "--period", "0"), ("period", "positive")),
         (("pid", "--period", "nan"), ("period", "positive")),
         (("pid", "--period", "10"), ("period is 10 s", "at least one control period")),
-        (("pid", "--machine", "axis", "--task", "track"), ("task track", "x and y")),
         (("no-such-controller",), ("no-such-controller", "pid", "textbook-pid")),
         (("no_such_module:pid",), ("no_such_module",)),
         (("pid", "--task", "juggle"), ("juggle", "reach, track")),
@@ -240,7 +239,6 @@ def test_evaluate_by_protocol_refuses_what_the_protocol_fixes(
     [
         (("no-such-recipe",), ("no recipe for no-such-recipe on reach", "ppo on reach")),
         (("ppo", "--task", "juggle"), ("task 'juggle' is unknown", "reach, track")),
-        (("ppo", "--machine", "axis", "--task", "track"), ("task track", "x and y")),
         (("ppo", "--randomize", "some"), ("some", "default, wide")),
         (("ppo", "--resume"), ("nothing to resume",)),
     ],
@@ -848,11 +846,6 @@ def test_a_group_without_a_command_prints_its_help_and_says_what_is_missing(
     assert errors == "hframe: Missing command (see --help)\n"
 
 
-def test_play_refuses_a_machine_with_one_axis(hframe_command: Callable[..., tuple[int, str, str]]) -> None:
+def test_play_shows_a_machine_with_one_axis(hframe_command: Callable[..., tuple[int, str, str]]) -> None:
     pytest.importorskip("pygame")
-    code, _, errors = hframe_command("play", "--machine", "axis", "--frames", "1")
-    assert code == 2
-    assert (
-        "machine 'axis': `hframe play` shows a tool that moves along x and y, and this one moves along x"
-        in errors
-    )
+    assert hframe_command("play", "--machine", "axis", "--frames", "1")[0] == 0

@@ -86,7 +86,7 @@ def labels_of(machine: Machine) -> tuple[str, ...]:
 
 
 def relabeled(machine: Machine, new: Mapping[str, str], reverse_rows: bool = False) -> Machine:
-    """Return a machine without effects with other names, and perhaps its factors in the reverse order."""
+    """Return a machine with other names, and perhaps its factors in the reverse order."""
 
     def row(factors: Mapping[str, float]) -> dict[str, float]:
         items = [(new[name], factor) for name, factor in factors.items()]
@@ -112,6 +112,7 @@ def relabeled(machine: Machine, new: Mapping[str, str], reverse_rows: bool = Fal
         sensors=tuple(
             dataclasses.replace(s, channel=new[s.channel], row=row(s.row)) for s in machine.sensors
         ),
+        effects=tuple(dataclasses.replace(e, site=new.get(e.site, e.site)) for e in machine.effects),
     )
 
 

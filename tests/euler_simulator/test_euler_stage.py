@@ -27,10 +27,8 @@ MORE = {
     "unequal damping": Rig(belt_damping_s=1e-3, belt_damping_factor=(1.15, 0.85, 1.0)),
     "second harmonic": Rig(wave_force=(0.5, 0.0, 0.03, 0.0), wave_second=(0.2, 0.0, 0.15, 0.0)),
 }
-LACKING = (
-    "idler_inertia",
-    "frame_resonance",
-)  # structures that the Euler simulator lacks or has in another form
+# What the Euler simulator lacks or has in another form.
+LACKING = ("idler_inertia", "frame_resonance", "dwell_friction", "torque_saturation", "commutation_ripple")
 ONE_OF_EACH = {n: dataclasses.replace(Rig(), **c.rig) for n, c in CASES.items() if c.rig and n not in LACKING}
 
 

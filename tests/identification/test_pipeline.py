@@ -146,6 +146,7 @@ def test_the_folder_is_complete_and_its_machine_is_the_corrected_one(
         "coverage.png",
         "effects.png",
         "error_by_channel.png",
+        "error_over_motion.png",
         "error_over_time.png",
         "residual_force.png",
     }

@@ -13,7 +13,9 @@ from tests.reference_simulator import Array, Rig
 # Fields of a rig that the Euler simulator lacks; they must have their default value.
 _MISSING = (
     "friction_cross_position", "friction_cross_speed", "friction_per_run", "heating_loss", "current_ripple",
-    "backlash_rad", "idlers", "payload", "length_follows", "spring_square", "friction_stale",
+    "backlash_rad", "idlers", "payload", "length_follows", "spring_square", "friction_stale", "friction_age",
+    "torque_saturation_A", "heating_ohm", "dead_time_V", "supply_ohm", "belt_relaxation", "belt_creep", "mesh_force_N",
+    "brake_drag",
 )  # fmt: skip
 _YAW_DIVISORS = (
     "stribeck_velocity",

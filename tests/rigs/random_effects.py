@@ -132,8 +132,8 @@ class DrawnEffect:
 
     @property
     def in_library(self) -> bool:
-        """Whether the library has the effect."""
-        return self.name in SITES
+        """Whether the library has the effect, so that its name alone identifies it."""
+        return not self.accepted
 
     def library_sites(self) -> tuple[str, ...]:
         """Return the sites at which the library's effect has to act to give this one."""
