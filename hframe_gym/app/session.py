@@ -213,10 +213,11 @@ def new_machine_command(like: str, values: Mapping[str, str]) -> list[str]:
 
     Args:
         like: Name of the template.
-        values: Values by name of the option of `hframe machines new`; empty ones are left out.
+        values: Values by name of the option of `hframe machines new`, without dashes, or by name of a parameter such as
+            "x.mass" (`--set`); empty ones are left out.
 
     Returns:
-        Words after "hframe".
+        Words after "hframe". The command overwrites the machine file of the session.
     """
     words = ["machines", "new", "--like", like]
     for name, value in values.items():

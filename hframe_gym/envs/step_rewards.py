@@ -165,10 +165,16 @@ class StepRewards:
             self._potential[index] = self._evaluate(self.reward, *goals_seen)
 
     def evaluation(self, distance: Array, reward: Array) -> Evaluation:
-        """Return the arguments `kind`, `band`, `meters`, `distance` and `reward`, shape (count,), of `evaluate_rows`.
+        """Return the last five arguments of `evaluate_rows`; nothing is computed here.
 
-        They are valid only if the attribute `depends_on_distance` is True. The arrays `distance`, m, and `reward`,
-        dimensionless, are returned unchanged.
+        Use them only if the attribute `depends_on_distance` is True.
+
+        Args:
+            distance: Array that `evaluate_rows` fills with distances to the goals, m or rad, shape (count,).
+            reward: Array that it fills with rewards, dimensionless, shape (count,).
+
+        Returns:
+            Three numbers that select the reward (`kind`, `band`, `meters`), and the two arrays.
         """
         return *self._constants, distance, reward
 

@@ -453,7 +453,15 @@ class VectorDisturbanceWrapper(VectorWrapper):
         self._same_step = env.metadata.get("autoreset_mode") is AutoresetMode.SAME_STEP
 
     def reset(self, **keywords: Any) -> tuple[Any, dict[str, Any]]:
-        """Begin episodes, as the environments do, and draw their first forces."""
+        """Begin episodes, as the environments do, and draw their first forces.
+
+        Args:
+            **keywords: `seed`, which also determines the forces, and `options` of `HFrameVectorEnv.reset`; only the
+                environments that its `reset_mask` chooses get new forces.
+
+        Returns:
+            Observation and info of the environments.
+        """
         self._forces.seed(keywords.get("seed"))
         result = self.env.reset(**keywords)
         mask = (keywords.get("options") or {}).get("reset_mask")

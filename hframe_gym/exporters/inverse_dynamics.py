@@ -116,7 +116,16 @@ class InverseDynamics:
         return total, friction
 
     def motor_voltages(self, values: Values, forces: Sequence[Any]) -> list[Any]:
-        """Convert forces of the coordinates, N, to voltages at the motors, V."""
+        """Convert forces to the voltages at the motors that cause them; voltage range and amplifier are not regarded.
+
+        Args:
+            values: Parameter values by full name, SI; None for those of the machine.
+            forces: Forces along the belt travel, N, one per coordinate, as `coordinate_forces` returns them: the total
+                with the back-EMF.
+
+        Returns:
+            One voltage per drive, V, shape (drives,).
+        """
         equations = Equations(self.machine, values)
         on_axes = [_sum_of(self.rigid[:, k], forces) for k in range(len(self.axes))]
         return [

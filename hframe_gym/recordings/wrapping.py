@@ -170,6 +170,9 @@ def wraps_of(recording: Recording, machine: Machine) -> dict[str, Wrap]:
 def without_wraps(recording: Recording, machine: Machine) -> Recording:
     """Copy a recording, with continuous measurements of the angles and counters that wrap.
 
+    A measurement wraps at the turn that its sensor declares; without one, at jumps of a known modulus (`find_wrap`), if
+    it is a position. Other jumps stay.
+
     Args:
         recording: Run as logged (times, s; voltages, V; measurements, m or rad).
         machine: Machine with the sensors.

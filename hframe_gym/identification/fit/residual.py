@@ -259,14 +259,17 @@ def motion_directions(machine: Machine, data: Dataset) -> Array:
 
 
 def correction_filters(machine: Machine, data: Dataset) -> list[tuple[Array, Array]]:
-    """Return by which filter the correction along each motion follows the missing force.
+    """Return the low-pass filters by which the corrections of the observer of 60 rad/s follow the missing force.
+
+    Both are forces along a rigid motion of the machine, N or Nm; a constant force is followed completely.
 
     Args:
         machine: Machine that predicts.
         data: Data set, for the sampling period.
 
     Returns:
-        Numerator and denominator of a digital filter at the sampling period, shape (order + 1,) each, by motion.
+        Numerator and denominator of a digital filter at the sampling period, in descending powers of z, shape
+        (order + 1,) each, by motion; 1 and 1 for a motion that no sensor measures.
     """
     observed = _observed_forces(machine, data.period)
     filters = []

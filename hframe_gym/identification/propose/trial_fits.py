@@ -211,11 +211,12 @@ def replacement_fit(
         reduced: Fit without the effect to replace, at the same observer bandwidth.
         replaced: Label (name@component) of the effect to replace.
         data: Prepared recordings to fit (times, voltages, measurements, SI).
-        criteria: Decision thresholds.
+        criteria: Decision threshold `linear_gain_ratio`.
 
     Returns:
-        Converged fit: machine, k parameters (theta, dimensionless, shape (k,)) and cost (chi-squared). None if no other
-        effect promises (linearized) at least 60 % of the cost reduction by the replaced effect.
+        Converged fit: machine, k parameters (theta, dimensionless, shape (k,)) and cost (chi-squared), which may be
+        higher than that of `current`: the caller compares them. None if no other effect promises (linearized) at least
+        the fraction `linear_gain_ratio` of the cost reduction by the replaced effect.
     """
     scales, ranked = _ranked_candidates(reduced, data)
     best = next((scored for scored in ranked if scored.candidate.label != replaced), None)

@@ -215,9 +215,9 @@ def tone_of_remainder(report: Mapping[str, Any]) -> Literal["good", "neutral", "
         report: Content of report.json.
 
     Returns:
-        "good" if noise explains the error and the noise is small against the motion; "neutral" if the error is at most
-        1 % of the motion of every channel; "warning" if it is larger, or the simulation diverges. An error that the
-        verdict calls unexplained is never "good".
+        "good" if the error is at most `max_noise_ratio_explained` times the noise and at most `max_motion_error` of the
+        motion of every channel, and the verdict is not "unexplained"; otherwise "neutral" if it is at most 1 % of the
+        motion of every channel; "warning" if it is larger, or the simulation diverges.
     """
     criteria, left = SelectionCriteria(), report.get("left")
     errors = report["after"]["held_out"].values()

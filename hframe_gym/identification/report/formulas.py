@@ -97,12 +97,13 @@ class ProposedFormula:
         """Create a formula from the entry that `as_json` returned.
 
         Args:
-            entry: Entry of report.json.
+            entry: One of the `formulas` of `proposed_formulas` in report.json; its parameters are in the order of the
+                terms.
             machine: Identified machine with the table.
             table: Table (force or friction level interpolated over one variable) that the formula can replace.
 
         Returns:
-            The formula with its parameters and errors.
+            The formula with its parameters and errors; its effect has a provisional name.
 
         Raises:
             InputError: If a term is unknown or the number of parameters does not fit the terms.
