@@ -110,7 +110,8 @@ def differs_in_a_parameter(suspect: str, different_run: str | None, chi2: float,
     Args:
         suspect: Name of the run that differs most.
         different_run: Name of the only run in which the parameter has another value; None if several do.
-        chi2: Chi-squared per sample of all runs, the suspect too, if each has its own value of the parameter.
+        chi2: Chi-squared per sample of all runs, the suspect too, if each has its own value of the parameter,
+            dimensionless.
         chi2_others: That of the runs without the suspect, to which the machine is fitted, dimensionless.
     """
     return different_run == suspect and chi2 < AS_GOOD * chi2_others
