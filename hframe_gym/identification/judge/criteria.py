@@ -129,4 +129,4 @@ class SelectionCriteria(SearchEffort):
     max_partial_excess: float = 0.25
     max_noise_ratio_explained: float = 2.0
     max_motion_error: float = 0.1
-    max_remaining: float = 0.02
+    max_remaining: float = 0.03
