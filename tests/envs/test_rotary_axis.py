@@ -153,9 +153,10 @@ def test_the_goal_of_track_swings_and_its_contour_error_is_the_distance(tmp_path
 @pytest.mark.parametrize(("radius", "limits"), [(0.1, None), (0.02, (-1.0, 2.0))])
 def test_all_controllers_reach_and_score_in_mrad_whatever_the_radius(radius, limits):
     machine = motor(radius, limits)
-    scores = evaluate(list(suited_controllers(machine)), machine, episodes=8, duration_s=0.5).scores[
-        "controllers"
-    ]
+    suited = suited_controllers(machine)  # other tests may have registered controllers of their own
+    names = [name for name in suited if CONTROLLERS.get(name).__module__.startswith("hframe_gym.")]
+    scores = evaluate(names, machine, episodes=8, duration_s=0.5).scores["controllers"]
+    assert len(names) > 2
     for name, score in scores.items():
         assert score["success"]["2mrad"] == 1.0, name
         assert score["settling_s"]["10mrad"]["mean"] < 0.3, name
