@@ -31,12 +31,12 @@ _MAX_RATIO_ERROR = 0.5  # a larger relative error is no inaccurate radius or sca
 _RATIO_CORRELATION = 0.9  # minimum correlation at which a ratio is reported
 _MIN_ROWS = 10  # rows that a correlation or slope needs
 _SPEED_FACTOR = 8.0  # factor between measured and simulated speed beyond which a unit is always suspected
-# A smaller factor is suspected if it is that of a unit in every run (within 1.5, because motors are specified within
-# some 20 % and friction slows small motions) and if inertia and friction say the same: a spring slows a motion too.
+# A smaller factor is suspected if it is that of a unit in every run, and if inertia and friction need the same factor,
+# since a spring slows a motion, too. It may be off by 1.5: motors are specified within some 20 %, and friction slows
+# small motions.
 _NEAR_UNIT = 1.5
-_CONTRADICTION = (
-    4.0  # factor between measured motion and prediction by other channels that proves a contradiction
-)
+# Factor between the motion of a channel and what the others predict for it, beyond which they contradict it.
+_CONTRADICTION = 4.0
 _UNIT_TOLERANCE = (
     2.0  # factor between measured and expected, beyond that of a unit, that a machine file may cause
 )
@@ -75,10 +75,10 @@ def check_scales(data: Dataset, machine: Machine) -> list[Finding]:
     clock = _clock(balance)
     if clock:
         return clock  # a wrong clock makes all speeds wrong
-    factors = _speed_factors(data, machine)
-    units = _units(factors, data, machine, balance)
+    motion = _span_motion(data, machine)
+    units = _units(motion, data, machine, balance)
     # A wrong unit of one channel makes the ratios of others wrong as well.
-    ratios = [] if any(finding.severity == "fault" for finding in units) else _ratios(factors, data, machine)
+    ratios = [] if any(finding.severity == "fault" for finding in units) else _ratios(motion, data, machine)
     contradicted = {ratio.channel for ratio in ratios if ratio.severity == "fault"}
     named = {unit.channel for unit in units}
     return [unit for unit in units if unit.channel not in contradicted] + [
@@ -112,13 +112,15 @@ def _clock(balance: Balance | None) -> list[Finding]:
 
 
 @dataclasses.dataclass(frozen=True)
-class _SpeedFactors:
-    """Measured and simulated motion over short spans, of all runs together.
+class _SpanMotion:
+    """Measured and simulated motion over short spans of time of one length, of all runs together.
+
+    A change over a span is the mean speed times the length of the span, so that ratios of changes are those of speeds.
 
     Attributes:
-        measured: Changes of the measurements, m or rad, shape (rows, sensors).
-        simulated: Changes of the simulated measurements, shape (rows, sensors).
-        values: Measurements at the middle of each span, shape (rows, sensors).
+        measured: Changes of the measurements over each span, m or rad, shape (rows, sensors).
+        simulated: Changes of the simulated measurements, m or rad, shape (rows, sensors).
+        values: Measurements at the middle of each span, m or rad, shape (rows, sensors).
         run: Index of the run of each row, shape (rows,).
     """
 
@@ -127,11 +129,11 @@ class _SpeedFactors:
     values: Array
     run: NDArray[np.int_]
 
-    def of(self, sensor: int) -> float:
+    def speed_ratio(self, sensor: int) -> float:
         """Return the ratio of measured to simulated speed of a sensor, root mean square; 0 if nothing moves."""
         return self._ratio(np.isfinite(self.measured[:, sensor]), sensor)
 
-    def by_run(self, sensor: int) -> list[float]:
+    def speed_ratios_by_run(self, sensor: int) -> list[float]:
         """Return the same ratio for each run in which the simulated machine moves."""
         finite = np.isfinite(self.measured[:, sensor])
         ratios = (self._ratio(finite & (self.run == run), sensor) for run in np.unique(self.run))
@@ -144,17 +146,17 @@ class _SpeedFactors:
         return float(np.std(self.measured[rows, sensor])) / size if size else 0.0
 
 
-def _speed_factors(data: Dataset, machine: Machine) -> _SpeedFactors:
+def _span_motion(data: Dataset, machine: Machine) -> _SpanMotion:
     """Return measured and simulated motion over short spans."""
     parts = []
     for i, run in enumerate(map(_first_rows, data.runs)):
         span = comparison_window(run.outputs, run.time_s, _WINDOW)
         bridged = bridge_blanks(run.outputs, run.time_s, span)
-        measured = _speeds(bridged, run.time_s, span)
-        simulated = _speeds(_simulate_outputs(machine, run), run.time_s, span)
+        measured = _changes(bridged, run.time_s, span)
+        simulated = _changes(_simulate_outputs(machine, run), run.time_s, span)
         values = _middles(bridged, run.time_s, span)
         parts.append((measured, simulated, values, np.full(len(measured), i)))
-    return _SpeedFactors(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+    return _SpanMotion(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
 
 def _window_rows(time_s: Array, span: float) -> int:
@@ -162,14 +164,14 @@ def _window_rows(time_s: Array, span: float) -> int:
     return max(1, min(len(time_s) - 1, round(span / float(np.median(np.diff(time_s))))))
 
 
-def _speeds(outputs: Array, time_s: Array, span: float) -> Array:
-    """Return the change of each channel over a span in s, shape (rows, channels): mean speed times span."""
+def _changes(outputs: Array, time_s: Array, span: float) -> Array:
+    """Return the change of each channel over each span (in s), in its unit, shape (rows, channels)."""
     window = _window_rows(time_s, span)
     return (outputs[window:] - outputs[:-window])[:: max(1, window // 4)]
 
 
 def _middles(outputs: Array, time_s: Array, span: float) -> Array:
-    """Return the measurements at the middle of each span of `_speeds`, shape (rows, channels)."""
+    """Return the measurements at the middle of each span of `_changes`, shape (rows, channels)."""
     window = _window_rows(time_s, span)
     return outputs[window // 2 : len(outputs) - window + window // 2][:: max(1, window // 4)]
 
@@ -197,7 +199,7 @@ def _simulate_outputs(machine: Machine, run: PreparedRecording) -> Array:
     )
 
 
-def _units(factors: _SpeedFactors, data: Dataset, machine: Machine, balance: Balance | None) -> list[Finding]:
+def _units(motion: _SpanMotion, data: Dataset, machine: Machine, balance: Balance | None) -> list[Finding]:
     """Report channels whose measured speed is a multiple or a fraction of the simulated one, and speeds as positions.
 
     This is a fault if the other channels contradict the channel too, or if no other channel measures the motion and
@@ -205,9 +207,9 @@ def _units(factors: _SpeedFactors, data: Dataset, machine: Machine, balance: Bal
     """
     findings = []
     for j, sensor in enumerate(machine.sensors):
-        factor = factors.of(j)
+        factor = motion.speed_ratio(j)
         unit = channel_unit(sensor.channel, machine)
-        if _is_speed(factors, j):
+        if _is_speed(motion, j):
             speed_unit = "rpm" if unit == "rad" else "mm/s"
             message = (
                 "looks like a speed, not like a position: it follows the simulated speed. Convert it, for example by "
@@ -216,21 +218,21 @@ def _units(factors: _SpeedFactors, data: Dataset, machine: Machine, balance: Bal
             )
             findings.append(Finding("advice", "", sensor.channel, message))
             continue
-        resting = factor < 1 and _is_resting(factors.measured[:, j], data, j)
+        resting = factor < 1 and _is_resting(motion.measured[:, j], data, j)
         suspect = _suspect(factor, unit)
         if not factor or resting:
             continue
         if not _is_extreme(factor) and not (
-            suspect and _in_every_run(factors, j, suspect[0]) and _agrees(balance, suspect[0])
+            suspect and _in_every_run(motion, j, suspect[0]) and _agrees(balance, suspect[0])
         ):
             continue
-        prediction = rigid_prediction(factors.measured, j, machine)
+        prediction = rigid_prediction(motion.measured, j, machine)
         if prediction is None:
             certain = suspect is not None and _is_extreme(factor) and _agrees(balance, suspect[0])
         else:
-            both = np.isfinite(factors.measured[:, j]) & np.isfinite(prediction[0])
+            both = np.isfinite(motion.measured[:, j]) & np.isfinite(prediction[0])
             expected = float(np.std(prediction[0][both])) if both.any() else 0.0
-            ratio = float(np.std(factors.measured[both, j])) / expected if expected else 1.0
+            ratio = float(np.std(motion.measured[both, j])) / expected if expected else 1.0
             certain = not 1 / _CONTRADICTION < ratio < _CONTRADICTION
             if not certain and not _is_extreme(factor):
                 continue  # other sensors agree with it
@@ -272,9 +274,12 @@ def _suspect(factor: float, unit: str) -> tuple[float, str] | None:
     return (value, name) if abs(math.log(factor / value)) < math.log(tolerance) else None
 
 
-def _in_every_run(factors: _SpeedFactors, sensor: int, value: float) -> bool:
+def _in_every_run(motion: _SpanMotion, sensor: int, value: float) -> bool:
     """Return whether the speed of a sensor differs from the simulated one by the factor of a unit in every run."""
-    return all(abs(math.log(ratio / value)) < math.log(_UNIT_TOLERANCE) for ratio in factors.by_run(sensor))
+    return all(
+        abs(math.log(ratio / value)) < math.log(_UNIT_TOLERANCE)
+        for ratio in motion.speed_ratios_by_run(sensor)
+    )
 
 
 def _agrees(balance: Balance | None, value: float) -> bool:
@@ -286,10 +291,10 @@ def _agrees(balance: Balance | None, value: float) -> bool:
     return bool(len(ratios)) and bool(np.all((ratios > 1 / _UNIT_TOLERANCE) & (ratios < _UNIT_TOLERANCE)))
 
 
-def _is_speed(factors: _SpeedFactors, sensor: int) -> bool:
+def _is_speed(motion: _SpanMotion, sensor: int) -> bool:
     """Return whether a column follows the simulated speed of its sensor, and its changes do not."""
-    rows = np.isfinite(factors.measured[:, sensor]) & np.isfinite(factors.values[:, sensor])
-    columns = (factors.values[rows, sensor], factors.measured[rows, sensor], factors.simulated[rows, sensor])
+    rows = np.isfinite(motion.measured[:, sensor]) & np.isfinite(motion.values[:, sensor])
+    columns = (motion.values[rows, sensor], motion.measured[rows, sensor], motion.simulated[rows, sensor])
     if np.count_nonzero(rows) < _MIN_ROWS or not all(column.any() for column in columns):
         return False
     value, change, speed = columns
@@ -299,7 +304,7 @@ def _is_speed(factors: _SpeedFactors, sensor: int) -> bool:
     )
 
 
-def _ratios(factors: _SpeedFactors, data: Dataset, machine: Machine) -> list[Finding]:
+def _ratios(motion: _SpanMotion, data: Dataset, machine: Machine) -> list[Finding]:
     """Report encoders that move too far or too little for the travel that other sensors measure.
 
     Sensors with a fixed zero are the reference where they determine the motion. Elsewhere encoders are compared with
@@ -325,7 +330,7 @@ def _ratios(factors: _SpeedFactors, data: Dataset, machine: Machine) -> list[Fin
     if wrong:
 
         def suspicion(column: int) -> float:
-            factor = factors.of(column)
+            factor = motion.speed_ratio(column)
             return abs(math.log(factor)) if factor else 0.0
 
         column = max(wrong, key=suspicion)
