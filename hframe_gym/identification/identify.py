@@ -28,7 +28,7 @@ from .report.assembly import build_result
 from .report.result import IdentificationResult
 from .search.checked_search import find_effects
 from .validate.evaluation import HeldOutTest, judged
-from .validate.plain_comparison import at_least_plain
+from .validate.simpler_machines import no_worse
 
 _TURNED = (
     "A positive command moves {} against the direction in which its sensors count: with positive inertia and friction, "
@@ -106,10 +106,10 @@ def identify(
 
     found = found._replace(messages=(*statements, *found.messages))
 
-    # Validate: the held-out runs judge the verdict and the names, and nothing worse than a plain fit is delivered.
+    # Validate: held-out runs judge verdict and names; nothing worse than a plain fit or the file is delivered.
     test = HeldOutTest(machine, session, found.held_out, criteria)
     evaluated = judged(test.evaluate(found.outcome), found.differing, log)
-    delivered = at_least_plain(evaluated, found.plain, log, budget)
+    delivered = no_worse(evaluated, found.plain, log, budget)
     outcome = delivered.evaluated.outcome
     remarks = (*found.remarks, *delivered.remarks)
     if remarks or outcome.verdict == "unexplained":

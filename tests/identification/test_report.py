@@ -33,7 +33,7 @@ from hframe_gym.identification.report.plots import report_panels
 from hframe_gym.identification.report.result import Hint, Unfinished, Verdict, plot_data
 from hframe_gym.identification.report.saved_result import load_result, next_command
 from hframe_gym.identification.validate.machine_errors import PredictionErrors
-from hframe_gym.identification.validate.plain_comparison import PlainResult
+from hframe_gym.identification.validate.simpler_machines import PlainResult
 from hframe_gym.machine import BUILTIN_MACHINES, Machine, Uncertainty
 from hframe_gym.web_page import Panel, save_panels
 from tests.identification.axis_results import AXIS, PRESLIDING, axis_result, axis_runs

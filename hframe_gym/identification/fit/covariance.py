@@ -83,12 +83,14 @@ def with_uncertainty(fitted: Fit, data: Dataset) -> Machine:
 
     Returns:
         The fitted machine; its `uncertainty` holds the covariance of the k free parameters, SI, shape (k, k). It is
-        None if a prediction with the fitted parameters diverges.
+        None if a prediction with the fitted parameters diverges, and as before if no parameter is free.
 
     References:
         White (1982), "Maximum likelihood estimation of misspecified models".
         Bell and McCaffrey (2002), "Bias reduction in standard errors for linear regression with multi-stage samples".
     """
+    if not fitted.free:
+        return fitted.machine
     data = data.with_observers(fitted.observers)
     directions = _directions(fitted, data, prior_precision(fitted.free))  # (k, k), one per column
     starts = uncertain_starts(fitted.machine, data.runs)

@@ -302,7 +302,7 @@ class _ModelByRun:
         ]
         self._precision = np.diag(np.full(self._k + n, _AMOUNT_PRIOR**-2))
         self._precision[: self._k, : self._k] = prior_precision(fitted.free)
-        low, high = np.array([f.theta_limits for f in fitted.free]).T
+        low, high = np.array([f.theta_limits for f in fitted.free]).reshape(-1, 2).T
         self._low = np.concatenate([low, np.full(n, -_LARGEST_AMOUNT)])
         self._high = np.concatenate([high, np.full(n, _LARGEST_AMOUNT)])
 

@@ -263,13 +263,13 @@ def final_verdict(verdict: Verdict, *, any_effect: bool) -> Verdict:
     return "effect_found" if any_effect and verdict == "no_effect" else verdict
 
 
-def is_worse_than_plain(ratio: float, left: float, criteria: SelectionCriteria) -> bool:
-    """Return whether a machine predicts the held-out runs worse than a plain fit of inertia and friction.
+def is_worse_than(ratio: float, left: float, criteria: SelectionCriteria) -> bool:
+    """Return whether a machine predicts the held-out runs worse than a simpler one: the plain fit, or the declared one.
 
     What noise explains is no error: among machines that leave no more, the smaller error is chance.
 
     Args:
-        ratio: Ratio of its simulation error to that of the plain fit.
+        ratio: Ratio of its simulation error to that of the simpler machine.
         left: Its simulation error in units of the noise; not a number if it diverges.
         criteria: Decision thresholds `min_gain`, for the ratio of the squared errors, and `max_noise_ratio_explained`.
     """

@@ -15,7 +15,7 @@ from ..fit.residual import Dependence, white_sensors
 from ..judge.verdict import final_verdict
 from ..propose.dependences import rank_dependences
 from ..search.checked_search import CheckedOutcome
-from ..validate.plain_comparison import Delivered
+from ..validate.simpler_machines import Delivered
 from .experiment_design import design_discriminating_experiment
 from .result import Hint, IdentificationResult, RejectedEffect, Unfinished
 

@@ -32,7 +32,7 @@ from ..judge.criteria import SelectionCriteria
 from ..judge.table import is_better_than_table
 from ..judge.verdict import Verdict
 from ..validate.machine_errors import ModelEvaluation, PredictionErrors
-from ..validate.plain_comparison import PlainResult
+from ..validate.simpler_machines import PlainResult
 from .experiment_design import FILE, ExperimentDesign
 from .provenance import provenance
 

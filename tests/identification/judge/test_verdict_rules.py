@@ -148,4 +148,4 @@ def test_effects_name_the_causes(matches: list[list[bool]], named: bool) -> None
 def test_a_machine_that_leaves_more_than_noise_may_be_worse_than_the_plain_fit(
     ratio: float, left: float, worse: bool
 ) -> None:
-    assert judge.is_worse_than_plain(ratio, left, CRITERIA) == worse
+    assert judge.is_worse_than(ratio, left, CRITERIA) == worse

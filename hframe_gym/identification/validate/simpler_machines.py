@@ -1,4 +1,4 @@
-"""Compare the machine of the search with a plain fit of inertia and friction, and deliver no worse one.
+"""Compare the machine of the search with a plain fit and with the file, and deliver none that predicts worse.
 
 Where the search names nothing, the remaining error of complete runs is described beside the better of both.
 """
@@ -11,6 +11,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from ...preparation.dataset import Dataset
 from ..budget import Budget, BudgetEndedError
 from ..evidence.tried_effects import Log, SelectedEffect
@@ -18,10 +20,10 @@ from ..fit.estimation import Fit, prediction_cost
 from ..fit.plain_fit import PlainFit, equally_weighted, refined_equally
 from ..fit.voltage_updates import VoltagesChangeError
 from ..judge.criteria import SelectionCriteria
-from ..judge.verdict import description_helps, is_worse_than_plain, needs_description
+from ..judge.verdict import description_helps, is_worse_than, needs_description
 from ..predict.prediction import SIMULATION
 from ..search.forward_selection import EffectSearch
-from .evaluation import Evaluated, without_names
+from .evaluation import Evaluated, HeldOutTest, without_names
 from .machine_errors import ModelEvaluation, error_ratio
 
 _MAX_EFFECTS = 2  # Each further one takes longer and removes less.
@@ -37,6 +39,11 @@ _PLAIN_DELIVERED = (
     "The machine that is delivered is the plain fit of inertia and friction, because that of the search has {:.3g} "
     "times its error on the held-out runs; terms beside them: {}."
 )
+_DECLARED_DELIVERED = (
+    "The machine that is delivered is the declared one: fitted to the other runs, it has {:.3g} times its error on the "
+    "held-out runs. The runs may differ in what the model takes as constant, such as load or friction."
+)
+_WORSE_THAN_DECLARED = "predicts the held-out runs worse than the declared machine"
 _DESCRIPTION = (
     "The machine that is delivered describes the remaining error by {}. They are no causes: other effects with similar "
     "forces might describe these runs as well. With them, the error on the held-out runs is {:.3g} times that without."
@@ -88,10 +95,10 @@ class Delivered(NamedTuple):
     remarks: tuple[str, ...]
 
 
-def at_least_plain(evaluated: Evaluated, plain: PlainFit | None, log: Log, budget: Budget) -> Delivered:
-    """Compare the outcome with the plain fit on the held-out runs, and deliver no machine that predicts them worse.
+def no_worse(evaluated: Evaluated, plain: PlainFit | None, log: Log, budget: Budget) -> Delivered:
+    """Compare the outcome with the plain fit and the declared machine, and deliver none that predicts worse.
 
-    If the plain fit takes the place of a machine with effects, that is the reason why none is named.
+    If one of them takes the place of a machine with effects, that is the reason why none is named.
 
     Args:
         evaluated: Outcome of a search with its machines.
@@ -99,9 +106,14 @@ def at_least_plain(evaluated: Evaluated, plain: PlainFit | None, log: Log, budge
         log: Called with a line of text.
         budget: Budget of the identification, of which a description may use a part.
     """
-    if plain is None:
-        return Delivered(evaluated, None, ())
-    result, delivered, sentence = _compared(evaluated, plain, log, budget)
+    result, delivered, sentence = None, evaluated, ""
+    if plain is not None:
+        result, delivered, sentence = _compared(evaluated, plain, log, budget)
+    if _is_worse(delivered.after, evaluated.declared, delivered.test):
+        sentence = _DECLARED_DELIVERED.format(error_ratio(delivered.after, evaluated.declared))
+        log(sentence)
+        result = result and dataclasses.replace(result, delivered=False)
+        delivered = _instead(evaluated, _declared(evaluated), _WORSE_THAN_DECLARED)
     if evaluated.outcome.selected and not delivered.outcome.selected:
         return Delivered(delivered._replace(reason=sentence), result, ())
     remarks = (sentence,) if sentence else ()
@@ -115,13 +127,10 @@ def _compared(
     outcome, test = evaluated.outcome, evaluated.test
     reference = test.errors(plain.machine.replace(name=f"{test.machine.name}-plain"), outcome.data)
 
-    def is_worse(model: ModelEvaluation) -> bool:
-        return is_worse_than_plain(error_ratio(model, reference), model.held_out.noise_ratio, test.criteria)
-
     result = PlainResult(reference, plain.terms)
     log(f"plain fit: {reference.held_out.noise_ratio:.4g} times the noise on the held-out runs")
     if not test.machine.belts:
-        base = reference if is_worse(evaluated.before) else evaluated.before
+        base = reference if _is_worse(evaluated.before, reference, test) else evaluated.before
         described = _described(evaluated, plain, base, log, budget)
         if described is not None:
             return result, *described
@@ -130,17 +139,35 @@ def _compared(
         after = refined_equally(outcome.after, outcome.data)
         selected = tuple(s.with_values(after.machine) for s in outcome.selected)
         again = test.evaluate(outcome._replace(after=after, selected=selected))
-        if error_ratio(again.after, reference) < ratio and not is_worse(again.after):
+        if error_ratio(again.after, reference) < ratio and not _is_worse(again.after, reference, test):
             return result, again, _REFINED
-    if not is_worse(evaluated.after):
+    if not _is_worse(evaluated.after, reference, test):
         return result, evaluated, ""
     sentence = _PLAIN_DELIVERED.format(
         error_ratio(evaluated.after, reference), ", ".join(plain.terms) or "none"
     )
     log(sentence)
-    outcome = without_names(outcome, _WORSE_THAN_PLAIN) if outcome.selected else outcome
-    delivered = test.evaluate(outcome._replace(after=plain.simulated))
+    delivered = _instead(evaluated, plain.simulated, _WORSE_THAN_PLAIN)
     return dataclasses.replace(result, delivered=True), delivered, sentence
+
+
+def _is_worse(model: ModelEvaluation, reference: ModelEvaluation, test: HeldOutTest) -> bool:
+    """Return whether a machine predicts the held-out runs worse than a reference."""
+    return is_worse_than(error_ratio(model, reference), model.held_out.noise_ratio, test.criteria)
+
+
+def _instead(evaluated: Evaluated, fitted: Fit, reason: str) -> Evaluated:
+    """Return the outcome with another machine instead of that of the search, without names."""
+    outcome = evaluated.outcome
+    outcome = without_names(outcome, reason) if outcome.selected else outcome
+    return evaluated.test.evaluate(outcome._replace(after=fitted))
+
+
+def _declared(evaluated: Evaluated) -> Fit:
+    """Return the declared machine as a fit without free parameters."""
+    machine, data = evaluated.test.machine, evaluated.outcome.data
+    cost = prediction_cost(machine, data, SIMULATION)
+    return Fit(machine, (), np.zeros(0), cost, data.count, SIMULATION, np.zeros((0, 0)))
 
 
 def _described(
