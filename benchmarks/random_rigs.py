@@ -3,11 +3,14 @@
     python -m benchmarks.random_rigs --seed 1 --only 3 17 40 --log      # some rigs of the development set
     python -m benchmarks.random_rigs --seed 1 --count 300 --jobs 2      # all of them
     python -m benchmarks.random_rigs --seed 20261230 --count 100  # the set that is run once, for RESULTS.md
+    python -m benchmarks.random_rigs --closed-loop --seed 20270126 --count 60  # the same in closed loop
 
+With --closed-loop, a position controller follows machine programs, and the log has 100 Hz to 1 kHz of its rows; the
+unseen runs have all of them, and two of three are in open loop. The results are random_rigs_closed_SEED.json.
 With --repeat, every rig is identified twice, the second time in a new process. Only the first identification has to
 compile simulation code; the second one must give the same report.
 The rigs come from `tests.rigs.random_rigs` and two independent simulators; `benchmarks.scoring` compares names. Seed 1
-is for development. Nothing may be changed after a look at seed 20261230: it is run once, for the published results.
+is for development. Nothing may be changed after a look at the final seeds, which are run once, for published results.
 Results of single rigs are cached in out/random_rigs as long as package, rigs and simulators are the same (with
 --resume: always), so that an interrupted run continues. With --ray, the workers of a cluster import `benchmarks` and
 `tests` from the checkout in which the command runs, or from their PYTHONPATH.
@@ -43,6 +46,7 @@ from tests.rigs.random_rigs import RandomSession, draw_rig
 CACHE = Path("out/random_rigs")
 DEVELOPMENT_SEED = 1
 FINAL_SEED = 20261230  # run once, for the published results
+FINAL_CLOSED_LOOP_SEED = 20270126  # the same in closed loop
 COUNT = 300
 _RIG_SOURCES = ("tests/rigs", "tests/reference_simulator", "tests/euler_simulator")
 _SCORE_SOURCES = ("benchmarks/rig_score.py", "benchmarks/scoring.py")
@@ -94,19 +98,20 @@ def _without_duration(result: IdentificationResult) -> Row:
     return report
 
 
-def run_rig(index: int, *, seed: int, repeat: bool, log: bool = False) -> Row:
+def run_rig(index: int, *, seed: int, closed_loop: bool, repeat: bool, log: bool = False) -> Row:
     """Record, identify and score a rig.
 
     Args:
         index: Number of the rig in the set.
         seed: Seed of the set.
+        closed_loop: Whether a position controller drives the rig.
         repeat: Whether to identify it a second time, with simulation code that was compiled before.
         log: Whether to print the progress of the identification.
 
     Returns:
         The row; with the entry "failed" if identification raised an exception.
     """
-    rig = draw_rig(seed, index)
+    rig = draw_rig(seed, index, closed_loop=closed_loop)
     session = rig.record()
     try:
         result, seconds = timed_identification(session, log=log)
@@ -124,7 +129,15 @@ def run_rig(index: int, *, seed: int, repeat: bool, log: bool = False) -> Row:
 
 
 def run_rigs(
-    indices: list[int], seed: int, jobs: int, ray: str | None, resume: bool, *, repeat: bool, log: bool
+    indices: list[int],
+    seed: int,
+    jobs: int,
+    ray: str | None,
+    resume: bool,
+    *,
+    closed_loop: bool,
+    repeat: bool,
+    log: bool,
 ) -> Iterator[Row]:
     """Yield the rows of some rigs, in order, from the cache where that is valid.
 
@@ -134,11 +147,13 @@ def run_rigs(
         jobs: Number of parallel processes.
         ray: Address of a Ray cluster; None for local processes.
         resume: Whether to use the cache in spite of changed sources.
+        closed_loop: Whether position controllers drive the rigs.
         repeat: Whether to identify each rig a second time, with simulation code that was compiled before.
         log: Whether to print the progress of each identification.
     """
     key = hashlib.sha256((source_key() + rig_key() + repeat * "repeated").encode()).hexdigest()
-    files = {index: CACHE / f"{draw_rig(seed, index).name}.json" for index in indices}
+    names = {index: draw_rig(seed, index, closed_loop=closed_loop).name for index in indices}
+    files = {index: CACHE / f"{name}.json" for index, name in names.items()}
     stored = {index: json.loads(file.read_text()) for index, file in files.items() if file.is_file()}
     cached = {index: old["row"] for index, old in stored.items() if resume or old["key"] == key}
     missing = [index for index in indices if index not in cached]
@@ -148,9 +163,8 @@ def run_rigs(
             CACHE.mkdir(parents=True, exist_ok=True)
             write_text(files[missing[position]], json.dumps({"key": key, "row": row}, indent=1) + "\n")
 
-    computed = map_tasks(
-        partial(run_rig, seed=seed, repeat=repeat, log=log), missing, jobs=jobs, ray=ray, completed=write
-    )
+    run = partial(run_rig, seed=seed, closed_loop=closed_loop, repeat=repeat, log=log)
+    computed = map_tasks(run, missing, jobs=jobs, ray=ray, completed=write)
     yield from (cached[index] if index in cached else next(computed) for index in indices)
 
 
@@ -182,6 +196,7 @@ def main() -> None:
     )
     parser.add_argument("--seed", type=int, default=DEVELOPMENT_SEED)
     parser.add_argument("--count", type=int, default=COUNT, help="number of rigs of the set")
+    parser.add_argument("--closed-loop", action="store_true", help="rigs that a position controller drives")
     parser.add_argument(
         "--only", type=int, nargs="+", metavar="INDEX", help="only these rigs; nothing is written"
     )
@@ -200,7 +215,8 @@ def main() -> None:
     indices = arguments.only or list(range(arguments.count))
     console = Console(width=170)
     rows = []
-    options = {"repeat": arguments.repeat, "log": arguments.log}
+    options = {"closed_loop": arguments.closed_loop, "repeat": arguments.repeat, "log": arguments.log}
+    name = f"random_rigs{'_closed' if arguments.closed_loop else ''}_{arguments.seed}"
     for row in run_rigs(indices, arguments.seed, arguments.jobs, arguments.ray, arguments.resume, **options):
         console.print(line(row), highlight=False, markup=False, soft_wrap=True)
         rows.append(row)
@@ -211,10 +227,8 @@ def main() -> None:
         if not arguments.only:
             from benchmarks.random_rigs_plots import draw  # matplotlib, which only this needs
 
-            write_results(
-                f"random_rigs_{arguments.seed}", {"summary": content, "rigs": rows}, seed=arguments.seed
-            )
-            draw(done, content, arguments.seed)
+            write_results(name, {"summary": content, "rigs": rows}, seed=arguments.seed)
+            draw(done, content, name)
     if len(done) < len(rows):
         sys.exit(f"identification crashed on {len(rows) - len(done)} of {len(rows)} rigs")
 

@@ -19,18 +19,18 @@ _GREEN, _RED, _GRAY, _AMBER = "#3b7d4f", "#c4513d", "0.6", "#e0b04c"
 _RATIO_LIMITS = (0.5, 1e3)  # ratios beyond are drawn at the limit
 
 
-def draw(rows: list[Row], content: dict[str, Any], seed: int) -> None:
-    """Write docs/figures/random_rigs_SEED_*.png.
+def draw(rows: list[Row], content: dict[str, Any], set_name: str) -> None:
+    """Write docs/figures/SET_*.png.
 
     Args:
         rows: Results by rig.
         content: Summary of the results.
-        seed: Seed of the rigs.
+        set_name: Name of the results, such as random_rigs_1.
     """
     FIGURES.mkdir(parents=True, exist_ok=True)
 
     def path(name: str) -> Path:
-        return FIGURES / f"random_rigs_{seed}_{name}.png"
+        return FIGURES / f"{set_name}_{name}.png"
 
     _confusion(content["confusion"], path("confusion"))
     _detection(content["detection"], path("detection"))

@@ -13,6 +13,7 @@ from rich.table import Table
 Row = dict[str, Any]
 MAX_RELATIVE_STD = 0.2  # above it a parameter counts as not identifiable and does not enter the coverage
 QUANTILES = {"68": 1.0, "95": 1.96}  # half-widths of the intervals in standard deviations
+LOGS = {"1": (1, 1), "2 to 5": (2, 5), "8 to 20": (8, 20)}  # changes of the voltages from one row to the next
 NOTHING, UNEXPLAINED, OTHERS = "(nothing)", "(unexplained)", "(not there)"
 _SLOPES = (0.1, 0.2, 0.4, 0.8)  # widths of the detection curve, in natural logarithms of the size
 _SIZES = np.geomspace(0.01, 3.0, 200)
@@ -58,6 +59,7 @@ def summary(rows: list[Row]) -> dict[str, Any]:
             )
         },
         "unseen": _errors(clean, residue),
+        "logs": _by_log(rows),
         "stable": sum(r["stable"] for r in rows),
         "consistent": sum(r["consistency"] <= 0.05 for r in rows),
         "seconds": _durations([r["seconds"] for r in rows]),
@@ -117,9 +119,15 @@ def _names(rows: list[Row], detection: dict[str, Any]) -> dict[str, Any]:
             "identified": sum(h["identified"] for h in hidden),
         }
     above = [h for r in clean for h in r["hidden"] if _above(h, detection)]
+    hidden = [h for r in _of_kind(rows, "library") for h in r["hidden"] if not h["absorbed"]]
+    median = _median(h["size"] for h in hidden)
+    large = [h for h in hidden if h["size"] > median]
     return counts | {
-        "above_detection": {"effects": len(above), "identified": sum(h["identified"] for h in above)}
-    }
+        "above_detection": {"effects": len(above), "identified": sum(h["identified"] for h in above)},
+        "above_median_size": {
+            "effects": len(large), "identified": sum(h["identified"] for h in large), "size": median,
+        },
+    }  # fmt: skip
 
 
 def _above(hidden: dict[str, Any], detection: dict[str, Any]) -> bool:
@@ -240,7 +248,24 @@ def _errors(clean: list[Row], residue: list[Row]) -> dict[str, Any]:
         "clean_over_noise": _quantiles(over_noise, 1.1),
         "clean_over_truth": _quantiles(over_truth["clean"], 1.1),
         "residue_over_truth": _quantiles(over_truth["residue"], 1.2),
+        "over_truth": _quantiles(over_truth["clean"] + over_truth["residue"], 1.3),
     }
+
+
+def _by_log(rows: list[Row]) -> dict[str, Any]:
+    """Summarize the rigs in closed loop by the changes of the voltages from one row of their logs to the next."""
+    groups = {}
+    for name, (fewest, most) in LOGS.items():
+        some = [r for r in rows if r.get("updates") and fewest <= r["updates"] <= most]
+        if some:
+            clean, residue = split_by_residue(some)
+            groups[name] = {
+                "rigs": len(some),
+                "right": sum(r["complete"] and not r["extra"] for r in some),
+                "with_false_name": sum(bool(r["extra"]) for r in some),
+                "over_truth": _errors(clean, residue)["over_truth"],
+            }
+    return groups
 
 
 def _quantiles(values: list[float], limit: float) -> dict[str, Any]:
@@ -261,15 +286,23 @@ def show(console: Console, content: dict[str, Any]) -> None:
     """
     names = Table("rigs", "count", "right", "effects", "identified", "rigs with false names")
     for name, counts in content["names"].items():
-        if name != "above_detection":
+        if not name.startswith("above"):
             false = content["false_names"][name]["with_false_name"]
             names.add_row(
                 name, *(str(counts[key]) for key in ("rigs", "right", "effects", "identified")), str(false)
             )
-    above = content["names"]["above_detection"]
-    console.print(
-        names, f"above the median detection size: {above['identified']} of {above['effects']} identified"
-    )
+    console.print(names)
+    for name, text in (("above_detection", "detection size"), ("above_median_size", "size")):
+        above = content["names"][name]
+        console.print(f"above the median {text}: {above['identified']} of {above['effects']} identified")
+    for name, found in content["logs"].items():
+        errors = found["over_truth"]
+        if errors["rigs"]:
+            unseen = f"median {errors['median']:.3g}, {errors['within']:.0%} within {errors['limit']}"
+            console.print(
+                f"{name} changes of the voltages a row: {found['right']} of {found['rigs']} right, "
+                f"{found['with_false_name']} with a false name; unseen over the true machine: {unseen}"
+            )
     for kind, verdicts in content["verdicts"].items():
         counts = ", ".join(f"{verdict} {count}" for verdict, count in sorted(verdicts.items()))
         console.print(f"verdicts, {kind}: {counts}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from fnmatch import fnmatch
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -67,6 +67,7 @@ def score_rig(
         "simulator": rig.simulator,
         "runs": rig.runs,
         "rate_hz": rig.rate_hz,
+        "updates": rig.closed_loop.updates if rig.closed_loop else None,
         "residue": rig.residue.kind,
         "truth": rig.describe(),
         "hidden": [
@@ -127,34 +128,39 @@ def _mean_ratio(errors: dict[str, Any]) -> float | None:
     return float(np.mean(ratios)) if ratios else None
 
 
-def simulation_error(machine: Machine, recording: Recording) -> Array:
+def simulation_error(machine: Machine, recording: Recording, updates: int = 1) -> Array:
     """Simulate a machine over a recording as `hframe simulate` does, from the measurements at rest.
 
     Args:
         machine: Machine to simulate.
         recording: The run.
+        updates: How many times the controller changes the voltages from one row to the next.
 
     Returns:
         Measured minus simulated values, NaN where not measured, shape (n, sensors); infinite if the simulation
         diverges.
     """
     try:
-        return simulate_recording(machine, recording).error
+        return simulate_recording(machine, recording, updates=updates).error
     except ArithmeticError:
         return np.full(recording.outputs.shape, np.inf)
 
 
-def root_mean_square(machine: Machine, recordings: Iterable[Recording]) -> Array:
+def root_mean_square(
+    machine: Machine, recordings: Iterable[Recording], updates: Mapping[str, int] | None = None
+) -> Array:
     """Return the error of a machine on some runs.
 
     Args:
         machine: Machine to simulate.
         recordings: The runs.
+        updates: Changes of the voltages from one row to the next, by the name of the run. Default: one.
 
     Returns:
         Root mean square error by channel, in the channels' units, shape (sensors,).
     """
-    error = np.concatenate([simulation_error(machine, recording) for recording in recordings])
+    changes = updates or {}
+    error = np.concatenate([simulation_error(machine, r, changes.get(r.name, 1)) for r in recordings])
     with np.errstate(invalid="ignore"):
         return np.asarray(np.sqrt(np.nanmean(error**2, axis=0)))
 
@@ -178,8 +184,9 @@ def _consistency(recordings: Sequence[Recording], result: IdentificationResult) 
 
     Both are those of the corrected machine on the held-out runs, by channel.
     """
-    names = {run.name for run in result.held_out.runs}
-    errors = root_mean_square(result.after.machine, [r for r in recordings if r.name in names])
+    updates = {run.name: run.updates for run in result.held_out.runs}
+    held_out = [recording for recording in recordings if recording.name in updates]
+    errors = root_mean_square(result.after.machine, held_out, updates)
     reported = [e.rmse for e in result.after.held_out.channels.values()]
     differences = [abs(e / r - 1.0) for e, r in zip(errors, reported, strict=True) if r]
     return float(min(max(differences, default=0.0), 1e9))

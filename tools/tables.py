@@ -43,6 +43,7 @@ PAGES = (
 )
 STAGES = ("declared", "before", "after")
 RANDOM_RIGS = "random_rigs_20261230"  # FINAL_SEED of benchmarks.random_rigs
+RANDOM_RIGS_CLOSED = "random_rigs_closed_20270126"  # FINAL_CLOSED_LOOP_SEED of it
 
 
 def markdown(header: Sequence[str], rows: Iterable[Sequence[str]], others: str = "---:") -> str:
@@ -238,7 +239,7 @@ def outside_library(results: dict[str, Any]) -> str:
 
 
 def random_rigs(results: dict[str, Any]) -> str:
-    """Format names, errors, standard deviations and time on rigs that were drawn at random."""
+    """Format names, errors, standard deviations and time on rigs that were drawn at random, in open or closed loop."""
     content = results["summary"]
     rows = []
     titles = {
@@ -281,6 +282,8 @@ def random_rigs(results: dict[str, Any]) -> str:
             f"{seconds['median']:.0f} s; {seconds['most']:.0f} s",
         ],
     ]
+    if content.get("logs"):
+        measures[1:1] = _closed_loop_measures(content)
     if again := content.get("repeated_seconds", {}).get("cpu"):
         measures += [
             [
@@ -290,6 +293,27 @@ def random_rigs(results: dict[str, Any]) -> str:
             ["report of the second identification is equal", f"{content['repeatable']} of {content['rigs']}"],
         ]
     return f"{table}\n\n{markdown(['measure', 'value'], measures)}"
+
+
+def _closed_loop_measures(content: dict[str, Any]) -> list[list[str]]:
+    """Return the rows of random rigs that only those in closed loop have."""
+    above, errors = content["names"]["above_median_size"], content["unseen"]["over_truth"]
+    size, within = f"{100 * above['size']:.0f} %", errors["limit"]
+    text = "error on unseen runs over that of the true machine: median; 95 % quantile; share within"
+    rows = [
+        [
+            f"all rigs with library effects: effects larger than {size}, their median, identified",
+            ratio(above),
+        ],
+        [f"the same and those without effects: {text} {within}", quantiles(errors)],
+    ]
+    for name, found in content["logs"].items():
+        rows.append(
+            [f"log with {name} changes of the voltages a row: right", f"{found['right']} of {found['rigs']}"]
+        )
+        if found["over_truth"]["rigs"]:
+            rows.append([f"the same: {text} {within}", quantiles(found["over_truth"])])
+    return rows
 
 
 def ratio(counts: dict[str, int]) -> str:
@@ -813,6 +837,7 @@ TABLES: dict[str, Callable[[dict[str, Any]], str]] = {
     "closed_loop_rigs": closed_loop_rigs,
     "public_axes": public_axes,
     RANDOM_RIGS: random_rigs,
+    RANDOM_RIGS_CLOSED: random_rigs,
     "outside_library_2": outside_library,
     "first_step": first_step,
     "env_speed": env_speed,

@@ -72,6 +72,20 @@ def test_detection_size_lies_between_missed_and_identified_sizes():
     assert above == {"effects": 2, "identified": 2}
 
 
+def test_effects_above_the_median_size_count_in_all_rigs_with_effects_of_the_library():
+    above = summary(ROWS)["names"]["above_median_size"]
+    assert above == {"effects": 2, "identified": 1, "size": 0.3}
+
+
+def test_rigs_in_closed_loop_are_grouped_by_the_changes_of_the_voltages_in_a_row_of_the_log():
+    rows = [row | {"updates": updates} for row, updates in zip(ROWS[:6], (1, 2, 4, 5, 10, 20), strict=True)]
+    logs = summary(rows)["logs"]
+    assert {name: found["rigs"] for name, found in logs.items()} == {"1": 1, "2 to 5": 3, "8 to 20": 2}
+    assert (logs["2 to 5"]["right"], logs["2 to 5"]["with_false_name"]) == (0, 1)
+    assert logs["2 to 5"]["over_truth"]["within"] == pytest.approx(2 / 3)
+    assert summary(ROWS)["logs"] == {}
+
+
 def test_coverage_and_errors():
     content = summary(ROWS)
     machine = content["coverage"]["clean, machine"]
@@ -85,5 +99,5 @@ def test_coverage_and_errors():
 
 def test_figures_are_drawn(tmp_path, monkeypatch):
     monkeypatch.setattr("benchmarks.random_rigs_plots.FIGURES", tmp_path)
-    draw(ROWS, summary(ROWS), 1)
+    draw(ROWS, summary(ROWS), "random_rigs_1")
     assert len(list(tmp_path.glob("random_rigs_1_*.png"))) == 4

@@ -1,13 +1,14 @@
 """Let a position controller follow machine programs on a simulated stage, as real machines are recorded.
 
-Programs: point-to-point moves with dwells, a rectangle, circles, and jogs of one axis. The controller reads the motors'
-encoders once per row; its voltages saturate and pass a 12-bit converter. The commanded voltage is therefore correlated
-with whatever disturbs the motion.
+Programs: point-to-point moves with dwells, a rectangle, circles, jogs of one axis, and picks: two stations in turn, at
+each of which y goes down, waits and goes up. The controller reads the motors' encoders once per row; its voltages
+saturate and pass a 12-bit converter. The commanded voltage is therefore correlated with whatever disturbs the motion.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,17 +17,42 @@ from tests.reference_simulator.sensors import ENCODER_STEP_RAD, Sensors
 from tests.rigs.random_excitation import CONVERTER_STEP_V, LIMITS_M, MAX_VOLTAGE_V, RESTING_S, Plant, Played
 
 PROGRAMS = ("point to point", "rectangle", "circle", "jog")
+PICKS = "picks"  # not one of `PROGRAMS`, over which sets of rigs cycle that were recorded before
 _SETTLING_S = 0.8  # before the recording begins
 _RADIUS_M = 0.0194
 _REACH = 0.55  # of the travel
 _VOLTS_PER_SPEED = 8.0  # V s/m, about the back-EMF and the viscous friction of the declared machine
 
 
+@dataclass(frozen=True)
+class Controller:
+    """Controller of x and y with the same gains, from the errors of position and speed to the voltage of the axis.
+
+    Attributes:
+        proportional: Gain of the position error, V/m.
+        derivative: Gain of the speed error, Vs/m.
+        integral: Gain of the integrated position error, V/(ms); it does not integrate while a voltage saturates.
+        feedforward: Gain of the reference's speed, Vs/m.
+        filter_fraction: Fraction by which the measured speed follows the differences of two rows, in a row.
+    """
+
+    proportional: float
+    derivative: float
+    integral: float
+    feedforward: float = _VOLTS_PER_SPEED
+    filter_fraction: float = 0.2
+
+
+def draw_controller(rng: np.random.Generator) -> Controller:
+    """Draw a controller with integral and feedforward."""
+    return Controller(rng.uniform(150.0, 500.0), rng.uniform(3.0, 10.0), rng.uniform(500.0, 3000.0))
+
+
 def draw_path(kind: str, time_s: Array, start_xy: Array, rng: np.random.Generator) -> Array:
     """Draw the reference of a program.
 
     Args:
-        kind: One of `PROGRAMS`.
+        kind: One of `PROGRAMS`, or `PICKS`.
         time_s: Sample times from the beginning of the run, s, shape (n,).
         start_xy: Position at the beginning, m, shape (2,).
         rng: Source of the draw.
@@ -62,6 +88,11 @@ def _waypoints(kind: str, start_xy: Array, rng: np.random.Generator) -> tuple[li
         size = rng.uniform(0.3, 0.9, 2) * reach * -np.sign(start_xy + 1e-9)
         corners = [start_xy, start_xy + size * [1, 0], start_xy + size, start_xy + size * [0, 1]]
         return [*corners, *corners, start_xy], np.full(8, rng.choice([0.0, 0.05]))
+    if kind == PICKS:
+        stations = rng.uniform(-1.0, 1.0, (2, 2)) * reach
+        down = np.array([0.0, rng.uniform(0.1, 0.4) * reach[1]])
+        visits = [station - offset for station in stations for offset in (0.0 * down, down, 0.0 * down)]
+        return [start_xy, *visits, *visits], np.tile([0.0, rng.uniform(0.05, 0.2), 0.0], 4)
     if kind == "jog":
         axis, places = int(rng.integers(2)), [start_xy]
         for _ in range(8):
@@ -93,16 +124,20 @@ def follow(
     time_s: Array,
     rng: np.random.Generator,
     clock: Callable[[Array], Array] | None = None,
+    controller: Controller | None = None,
+    gains: tuple[float, float] = (1.0, 1.0),
 ) -> Played:
-    """Let the controller follow a program.
+    """Let a controller follow a program.
 
     Args:
         plant_at: Function that sets up the stage at a time, s.
         sensors: Sensors of the stage; the controller reads the encoders.
-        kind: One of `PROGRAMS`.
+        kind: One of `PROGRAMS`, or `PICKS`.
         time_s: Nominal sample times, s, shape (n,).
         rng: Source of program and controller.
         clock: Function that returns the actual sample times, s, of the nominal ones. Default: the nominal ones.
+        controller: The controller. Default: drawn by `draw_controller`.
+        gains: Factors of the voltages that the drives receive; the recording does not know them.
 
     Returns:
         The run.
@@ -111,11 +146,7 @@ def follow(
     period = float(time_s[1] - time_s[0])
     plant = plant_at(time_s[0] - _SETTLING_S)
     plant.step(np.zeros(2), time_s[0])
-    proportional, derivative, integral = (
-        rng.uniform(150.0, 500.0),
-        rng.uniform(3.0, 10.0),
-        rng.uniform(500.0, 3000.0),
-    )
+    control = controller or draw_controller(rng)
     reference = draw_path(kind, time_s - time_s[0], _axes(plant, sensors), rng)
     rate = np.gradient(reference, period, axis=0)
     inputs, states = np.zeros((len(time_s), 2)), np.empty((len(time_s), 8))
@@ -123,14 +154,14 @@ def follow(
     for row in range(len(time_s)):
         states[row, :4], states[row, 4:] = plant.position, plant.velocity
         measured = _axes(plant, sensors)
-        speed += 0.2 * ((measured - last) / period - speed)
+        speed += control.filter_fraction * ((measured - last) / period - speed)
         last = measured
         error = reference[row] - measured
         axes = (
-            proportional * error
-            + derivative * (rate[row] - speed)
-            + integral * total
-            + _VOLTS_PER_SPEED * rate[row]
+            control.proportional * error
+            + control.derivative * (rate[row] - speed)
+            + control.integral * total
+            + control.feedforward * rate[row]
         )
         volts = np.array([-axes[0] - axes[1], axes[0] - axes[1]])
         if np.abs(volts).max() < MAX_VOLTAGE_V:
@@ -140,7 +171,7 @@ def follow(
         volts = np.clip(volts, -MAX_VOLTAGE_V, MAX_VOLTAGE_V)
         inputs[row] = np.round(volts / CONVERTER_STEP_V) * CONVERTER_STEP_V
         if row + 1 < len(time_s):
-            plant.step(inputs[row], actual_s[row + 1])
+            plant.step(inputs[row] * gains, actual_s[row + 1])
     return Played(kind, "center", time_s, actual_s, inputs + 0.0, states[:, :4].copy(), states[:, 4:].copy())
 
 

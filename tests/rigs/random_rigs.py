@@ -2,11 +2,16 @@
 
     python -m tests.rigs.random_rigs --seed 1 --only 0 1 2              # what these rigs hide
     python -m tests.rigs.random_rigs --seed 1 --only 0 --out DIR        # record: DIR/1_0000/runs, unseen, truth.json
+    python -m tests.rigs.random_rigs --seed 1 --closed-loop             # the same rigs under a position controller
 
 A rig follows from a seed and an index alone. A quarter hides nothing; 8 % hide an effect outside the library and 8 %
 one or two effects that are 10 to 20 % off the library's form; the others hide one to three effects of the library, of
 log-uniform size (`random_effects`). Every parameter differs from the declared machine by 5 to 20 %. Half of the rigs
 without effects or with library effects have a residue: a small error that no effect of the library is.
+
+In closed loop, a position controller follows machine programs (`machine_programs`) with a period of 0.5 to 2 ms, and
+the log has every n-th of its rows, 100 Hz to 1 kHz. In half of these rigs the period jitters; the stamps say so. The
+unseen runs judge the answer, whatever the log: they have every row of the controller, and most are in open loop.
 """
 
 from __future__ import annotations
@@ -27,12 +32,18 @@ from tests.reference_simulator import COORDINATES, Array, Rig, Stage
 from tests.reference_simulator.sensors import ENCODER_STEP_RAD, LASER_NOISE_M, Sensors
 from tests.rigs.euler_rig import euler_parameters
 from tests.rigs.hidden_effects import CHANNELS, change_site, random_rig
+from tests.rigs.machine_programs import PICKS, PROGRAMS, Controller, follow
 from tests.rigs.random_effects import DrawnEffect, draw_effects, draw_off_form, draw_outside, log_uniform
 from tests.rigs.random_excitation import KINDS, STARTS, Plant, Played, draw_start, play
 from tests.rigs.session_files import write_session
 
 DURATION_S = 2.0
 UNSEEN_RUNS = 3
+CLOSED_LOOP_RUNS = (*PROGRAMS, PICKS)
+OPEN_LOOP = tuple(kind for kind in KINDS if kind != "moves")  # of the unseen runs of a rig in closed loop
+LOG_RATES_HZ = (100.0, 1000.0)  # slowest and fastest log in closed loop
+_PERIODS_S = (0.5e-3, 1e-3, 2e-3)  # of controllers
+_ROWS = 1500  # of a run's log in closed loop, if it takes 2 to 6 s
 RESIDUES = ("integrator", "missing force", "hysteresis", "colored noise", "clock jitter", "bad run")
 # Tolerances of the reference simulator that cost less than a nanometer per run.
 _RTOL, _ATOL = 1e-8, 1e-11
@@ -68,6 +79,28 @@ class Residue:
 
 
 @dataclass(frozen=True)
+class ClosedLoop:
+    """Controller of a rig, and the log of its runs.
+
+    Attributes:
+        controller: The controller.
+        period_s: Its period, s.
+        updates: Number of its periods from one row of the log to the next.
+        jitter_s: Standard deviation of its steps in time, s; the stamps of the log state the actual times.
+    """
+
+    controller: Controller
+    period_s: float
+    updates: int
+    jitter_s: float
+
+    @property
+    def duration_s(self) -> float:
+        """Duration of a run, s: longer if the log is slow."""
+        return float(np.clip(_ROWS * self.period_s * self.updates, 2.0, 6.0))
+
+
+@dataclass(frozen=True)
 class RandomRig:
     """Rig that was drawn at random.
 
@@ -79,8 +112,9 @@ class RandomRig:
         hidden_effects: The effects.
         residue: The residue.
         runs: Number of runs to identify.
-        rate_hz: Sampling rate, Hz.
+        rate_hz: Sampling rate of the log, Hz.
         bad_run: Index of the run that a bad run's residue concerns.
+        closed_loop: Controller and log; None: the runs are in open loop.
     """
 
     seed: int
@@ -92,16 +126,19 @@ class RandomRig:
     runs: int
     rate_hz: float
     bad_run: int
+    closed_loop: ClosedLoop | None = None
 
     @property
     def name(self) -> str:
         """Name of the rig."""
-        return f"{self.seed}_{self.index:04d}"
+        return f"{self.seed}_{self.index:04d}{'_closed' if self.closed_loop else ''}"
 
     def describe(self) -> str:
         """Return what the rig hides, in a line of text."""
         residue = f", residue: {self.residue.note}" if self.residue.kind else ""
         runs = f"{self.runs} runs at {self.rate_hz:.0f} Hz, {self.simulator}"
+        if loop := self.closed_loop:
+            runs += f", controller {1e3 * loop.period_s:g} ms, jitter {1e6 * loop.jitter_s:.0f} us"
         return f"{describe_effects(self.hidden_effects)}{residue} ({runs})"
 
     @cached_property
@@ -152,7 +189,11 @@ class RandomRig:
         """
         rng = np.random.default_rng([self.seed, self.index, 2])
         count, clock = self.runs + UNSEEN_RUNS, float(np.round(rng.uniform(0.0, 30.0), 3))
-        kinds = _cycle(KINDS, self.runs, rng) + _cycle(KINDS, UNSEEN_RUNS, rng)
+        kinds = _cycle(CLOSED_LOOP_RUNS if self.closed_loop else KINDS, self.runs, rng)
+        if self.closed_loop:
+            kinds += [*_cycle(OPEN_LOOP, UNSEEN_RUNS - 1, rng), str(rng.choice(CLOSED_LOOP_RUNS))]
+        else:
+            kinds += _cycle(KINDS, UNSEEN_RUNS, rng)
         confined = any(effect.name == "sensor_range" for effect in self.hidden_effects)
         played, recordings, truth = [], [], {}
         for i in range(count):
@@ -160,32 +201,50 @@ class RandomRig:
             # Most runs start within the range of a laser that saturates, a few outside.
             fraction = 0.15 if confined and rng.random() < 0.8 else 0.6
             gain = self.residue.bad_gain if bad and self.residue.bad_gain else 1.0
-            start = str(rng.choice(STARTS))
-            place = draw_start(start, rng, fraction)
-            time_s = np.round(clock + np.arange(round(DURATION_S * self.rate_hz)) / self.rate_hz, 6)
-            run = play(
-                lambda start_s, place=place: self.plant(place, start_s),
-                kinds[i], start, time_s, rng, self.residue.jitter_s, (gain, gain),
-            )  # fmt: skip
+            run = self._play(kinds[i], clock, fraction, gain, rng, logged=i < self.runs)
             ideal = self.stage[1].ideal(run.actual_s, run.positions, run.velocities)
-            name = f"{'run' if i < self.runs else 'unseen'}_{i:02d}_{kinds[i]}"
-            outputs = self._measured(ideal, rng, glitch=bad)
+            if self.closed_loop and i < self.runs:
+                run, ideal = _every(run, self.closed_loop.updates), ideal[:: self.closed_loop.updates]
+            name = f"{'run' if i < self.runs else 'unseen'}_{i:02d}_{kinds[i].replace(' ', '_')}"
+            outputs = self._measured(ideal, run.time_s, rng, glitch=bad)
             played.append(run)
             truth[name] = ideal
             recordings.append(Recording(name, run.time_s, run.inputs, outputs))
-            clock = float(np.round(time_s[-1] + rng.uniform(3.0, 20.0), 3))
+            clock = float(np.round(run.time_s[-1] + rng.uniform(3.0, 20.0), 3))
         return RandomSession(
             self, tuple(recordings[: self.runs]), tuple(recordings[self.runs :]), tuple(played), truth
         )
 
-    def _measured(self, ideal: Array, rng: np.random.Generator, *, glitch: bool) -> Array:
+    def _play(
+        self, kind: str, clock: float, fraction: float, gain: float, rng: np.random.Generator, *, logged: bool
+    ) -> Played:
+        """Play a run from a time of the session's clock, s, on; in closed loop with every row of the controller."""
+        loop, start = self.closed_loop, str(rng.choice(STARTS))
+        place = draw_start(start, rng, fraction)
+        rate_hz = round(1.0 / loop.period_s) if loop else self.rate_hz
+        rows = round((loop.duration_s if loop and logged else DURATION_S) * rate_hz)
+        time_s = np.round(clock + np.arange(rows) / rate_hz, 6)
+
+        def plant_at(start_s: float) -> Plant:
+            return self.plant(place, start_s)
+
+        if loop is None or kind not in CLOSED_LOOP_RUNS:
+            return play(plant_at, kind, start, time_s, rng, self.residue.jitter_s, (gain, gain))
+        stamps = np.round(_jittered(time_s, loop.jitter_s if logged else 0.0, rng), 6)
+        actual_s = _jittered(stamps, self.residue.jitter_s, rng)
+        run = follow(
+            plant_at, self.stage[1], kind, time_s, rng, lambda _: actual_s, loop.controller, (gain, gain)
+        )
+        return dataclasses.replace(run, time_s=stamps)
+
+    def _measured(self, ideal: Array, time_s: Array, rng: np.random.Generator, *, glitch: bool) -> Array:
         """Return the measurements with noise, quantization and the residue of the sensors, as a file holds them."""
-        outputs = ideal.copy()
+        outputs, period_s = ideal.copy(), (time_s[-1] - time_s[0]) / (len(time_s) - 1)
         outputs[:, :2] = np.round(outputs[:, :2] / ENCODER_STEP_RAD) * ENCODER_STEP_RAD
         outputs[:, 2:] += rng.normal(0.0, LASER_NOISE_M, (len(ideal), 2))
         if self.residue.colored:
             channel, size, tau = self.residue.colored
-            outputs[:, CHANNELS.index(channel)] += colored_noise(len(ideal), size, tau * self.rate_hz, rng)
+            outputs[:, CHANNELS.index(channel)] += colored_noise(len(ideal), size, tau / period_s, rng)
         if glitch and self.residue.glitch_m:
             row = int(rng.integers(round(0.2 * len(ideal)), len(ideal)))
             outputs[row, int(rng.integers(2, 4))] += self.residue.glitch_m
@@ -222,6 +281,23 @@ class RandomSession:
         write_session(folder, self.recordings, self.unseen, truth)
 
 
+def _every(run: Played, count: int) -> Played:
+    """Return every `count`-th row of a run, as a log that is slower than the controller."""
+    rows = {
+        name: getattr(run, name)[::count]
+        for name in ("time_s", "actual_s", "inputs", "positions", "velocities")
+    }
+    return dataclasses.replace(run, **rows)
+
+
+def _jittered(time_s: Array, size_s: float, rng: np.random.Generator) -> Array:
+    """Return times, s, that are off by a standard deviation, s; the first one is right, and their order is kept."""
+    largest = 0.4 * (time_s[1] - time_s[0])
+    off = np.clip(size_s * rng.standard_normal(len(time_s)), -largest, largest)
+    off[0] = 0.0
+    return np.asarray(time_s + off)
+
+
 def describe_effects(effects: Sequence[DrawnEffect]) -> str:
     """Return hidden effects with their sizes in words."""
     texts = [f"{e.label} {e.size:.0%}{' off form' if e.off_form else ''}" for e in effects]
@@ -255,15 +331,16 @@ def colored_noise(rows: int, size: float, rows_per_tau: float, rng: np.random.Ge
     return values
 
 
-def draw_rig(seed: int, index: int) -> RandomRig:
+def draw_rig(seed: int, index: int, *, closed_loop: bool = False) -> RandomRig:
     """Draw a rig.
 
     Args:
         seed: Seed of the set of rigs.
         index: Number of the rig in the set.
+        closed_loop: Whether a position controller drives it while it is recorded.
 
     Returns:
-        The rig; the same arguments give the same rig.
+        The rig; the same arguments give the same rig. In closed loop it is the same rig with another log.
     """
     rng = np.random.default_rng([seed, index, 0])
     simulator: Simulator = "reference" if rng.random() < 0.5 else "euler"
@@ -288,9 +365,30 @@ def draw_rig(seed: int, index: int) -> RandomRig:
             residue = Residue()
     elif residue.kind == "integrator":
         simulator = "euler"
-    return RandomRig(
+    rig = RandomRig(
         seed, index, kind, simulator, tuple(effects), residue, runs, rate, int(rng.integers(runs))
     )
+    if closed_loop:
+        loop = _draw_closed_loop(np.random.default_rng([seed, index, 4]))
+        rate = round(1.0 / (loop.period_s * loop.updates), 6)
+        rig = dataclasses.replace(rig, rate_hz=rate, closed_loop=loop)
+    return rig
+
+
+def _draw_closed_loop(rng: np.random.Generator) -> ClosedLoop:
+    """Draw a controller and the log of its rows."""
+    period_s = float(rng.choice(_PERIODS_S))
+    slowest, fastest = LOG_RATES_HZ
+    updates = [n for n in (1, 2, 4, 5, 8, 10, 20) if slowest - 1e-6 <= 1.0 / (n * period_s) <= fastest + 1e-6]
+    controller = Controller(
+        proportional=rng.uniform(150.0, 400.0),
+        derivative=rng.uniform(3.0, 8.0),
+        integral=float(rng.choice([0.0, rng.uniform(500.0, 3000.0)])),
+        feedforward=float(rng.choice([0.0, rng.uniform(6.0, 10.0)])),
+        filter_fraction=1.0 - np.exp(-period_s / log_uniform(rng, 1e-3, 5e-3)),
+    )
+    jitter_s = log_uniform(rng, 10e-6, 150e-6) if rng.random() < 0.5 else 0.0
+    return ClosedLoop(controller, period_s, int(rng.choice(updates)), jitter_s)
 
 
 def _off_form(rng: np.random.Generator) -> list[DrawnEffect]:
@@ -363,10 +461,11 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--count", type=int, default=300)
     parser.add_argument("--only", type=int, nargs="+", metavar="INDEX")
+    parser.add_argument("--closed-loop", action="store_true", help="under a position controller")
     parser.add_argument("--out", type=Path, metavar="DIR", help="record into this folder")
     arguments = parser.parse_args()
     for index in arguments.only or range(arguments.count):
-        rig = draw_rig(arguments.seed, index)
+        rig = draw_rig(arguments.seed, index, closed_loop=arguments.closed_loop)
         print(f"{rig.name} {rig.kind:8} {rig.describe()}", flush=True)
         if arguments.out:
             rig.record().write(arguments.out / rig.name)

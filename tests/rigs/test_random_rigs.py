@@ -12,8 +12,16 @@ from hframe_gym.machine import BUILTIN_MACHINES, rest_state
 from hframe_gym.recordings import load_recordings
 from tests.reference_simulator.sensors import ENCODER_STEP_RAD, LASER_NOISE_M
 from tests.rigs.random_effects import SITES, SMALLEST_SIZE, draw_effect
-from tests.rigs.random_excitation import CONVERTER_STEP_V, KINDS, STARTS
-from tests.rigs.random_rigs import RESIDUES, RandomRig, Residue, draw_rig
+from tests.rigs.random_excitation import CONVERTER_STEP_V, KINDS, MAX_VOLTAGE_V, STARTS
+from tests.rigs.random_rigs import (
+    CLOSED_LOOP_RUNS,
+    LOG_RATES_HZ,
+    OPEN_LOOP,
+    RESIDUES,
+    RandomRig,
+    Residue,
+    draw_rig,
+)
 from tests.rigs.true_machine import identified_values, true_machine
 
 RIGS = [draw_rig(1, i) for i in range(300)]
@@ -93,6 +101,50 @@ def test_runs_rest_at_first_move_both_axes_and_stay_on_the_rails():
             assert np.ptp(run.positions[:, :2], axis=0).max() > 5e-3
     assert seen == set(KINDS)
     assert starts == set(STARTS)
+
+
+def test_closed_loop_changes_the_log_of_a_rig_only():
+    rigs = [draw_rig(1, i, closed_loop=True) for i in range(60)]
+    effects, in_open_loop = ([rig.hidden_effects for rig in some] for some in (rigs, RIGS[:60]))
+    assert [[e.parameters for e in some] for some in effects] == [
+        [e.parameters for e in some] for some in in_open_loop
+    ]
+    assert rigs[4].stage == RIGS[4].stage
+    loops = [rig.closed_loop for rig in rigs]
+    assert {loop.period_s for loop in loops} == {0.5e-3, 1e-3, 2e-3}
+    rates = np.array([rig.rate_hz for rig in rigs])
+    np.testing.assert_allclose(rates, [1.0 / (loop.period_s * loop.updates) for loop in loops])
+    assert (rates.min(), rates.max()) == LOG_RATES_HZ
+    assert 0.3 < np.mean([loop.jitter_s > 0.0 for loop in loops]) < 0.7
+    assert len({loop.updates for loop in loops}) == 7
+    assert 0.3 < np.mean([loop.controller.integral > 0.0 for loop in loops]) < 0.7
+
+
+@pytest.mark.oracle
+def test_closed_loop_is_logged_every_nth_row_and_judged_by_every_row():
+    drawn = draw_rig(1, 5, closed_loop=True)  # 1 ms, every fifth row, with jitter
+    rig = dataclasses.replace(drawn, runs=5, bad_run=0)
+    session = rig.record()
+    assert {run.kind for run in session.played[:5]} == set(CLOSED_LOOP_RUNS)
+    for recording, played in zip(session.recordings, session.played, strict=False):
+        steps = np.diff(recording.time_s)
+        assert len(recording.time_s) == 1200
+        assert steps.mean() == pytest.approx(5e-3, rel=1e-3)
+        assert 10e-6 < steps.std() < 60e-6
+        assert np.array_equal(recording.time_s, played.actual_s)
+        assert (
+            np.abs(recording.outputs - session.truth[recording.name])[:, :2].max()
+            < 0.5 * ENCODER_STEP_RAD + 1e-8
+        )
+        assert np.abs(recording.inputs).max() <= MAX_VOLTAGE_V
+        converted = recording.inputs / CONVERTER_STEP_V
+        assert np.abs(converted - np.round(converted)).max() < 1e-9
+        assert np.ptp(played.positions[:, :2], axis=0).max() > 0.05
+    kinds = [run.kind for run in session.played[5:]]
+    assert set(kinds[:2]) <= set(OPEN_LOOP)
+    assert kinds[2] in CLOSED_LOOP_RUNS
+    for recording in session.unseen:
+        np.testing.assert_allclose(np.diff(recording.time_s), 1e-3, atol=1e-9)
 
 
 @pytest.mark.oracle
