@@ -16,7 +16,6 @@ from ..distributed import single_threaded_linear_algebra
 from ..errors import InputError
 from ..machine import Machine
 from ..preparation.division import divide_runs
-from ..preparation.drive_signs import turned_coordinates, with_turned
 from ..preparation.session import prepare_session
 from ..recordings import Recording
 from ..registry import load_plugins
@@ -29,12 +28,6 @@ from .report.result import IdentificationResult
 from .search.checked_search import find_effects
 from .validate.evaluation import HeldOutTest, judged
 from .validate.simpler_machines import no_worse
-
-_TURNED = (
-    "A positive command moves {} against the direction in which its sensors count: with positive inertia and friction, "
-    "the motion follows from the commands only that way round. The machines here count its sensors the other way "
-    "(negative factors in `row`)."
-)
 
 
 @single_threaded_linear_algebra()  # the result depends on no number of threads
@@ -85,17 +78,10 @@ def identify(
     # Prepare: which runs are fitted, and what of them can be used.
     held_names = divide_runs(recordings, held_out)
     session = prepare_session(recordings, machine, criteria, log)
-    turned = turned_coordinates(machine, session.data.runs)
-    statements = tuple(map(_TURNED.format, turned))
-    if turned:
-        machine = with_turned(machine, turned)
-        session = prepare_session(recordings, machine, criteria, log)
-        for statement in statements:
-            log(statement)
 
     # Refit, then propose effects, fit them, gather evidence and judge it, until none passes: in the fitted runs.
     found = find_effects(
-        machine,
+        session.machine,
         session.data,
         held_names,
         may_exchange=not held_out,
@@ -103,11 +89,10 @@ def identify(
         log=log,
         budget=budget,
     )
-
-    found = found._replace(messages=(*statements, *found.messages))
+    found = found._replace(messages=(*session.statements, *found.messages))
 
     # Validate: held-out runs judge verdict and names; nothing worse than a plain fit or the file is delivered.
-    test = HeldOutTest(machine, session, found.held_out, criteria)
+    test = HeldOutTest(session, found.held_out, criteria)
     evaluated = judged(test.evaluate(found.outcome), found.differing, log)
     delivered = no_worse(evaluated, found.plain, log, budget)
     outcome = delivered.evaluated.outcome

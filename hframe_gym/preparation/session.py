@@ -14,6 +14,7 @@ from ..machine import Machine
 from ..recordings import Recording, fill_gaps
 from .criteria import SaturationCriteria
 from .dataset import Dataset, PreparedRecording
+from .drive_signs import turned_coordinates, with_turned
 from .initial_state import measured_initial_state
 from .rest_measurement import estimate_initial_state
 from .sensor_properties import (
@@ -28,21 +29,31 @@ from .sensor_zeros import free_zeros, has_zero
 from .session_zeros import common_encoder_zeros
 from .usable import usable_run, without_saturated, without_unknown_voltage
 
+_TURNED = (
+    "A positive command moves {} against the direction in which its sensors count: with positive inertia and friction, "
+    "the motion follows from the commands only that way round. The machines here count its sensors the other way "
+    "(negative factors in `row`)."
+)
+
 
 class Session(NamedTuple):
     """Runs of a session as they can be fitted.
 
     Attributes:
+        machine: Machine as declared, but with the directions of the drives that the runs show.
         recordings: The runs as logged.
         usable: The same without measurements that are not usable, but with those at the end of a sensor's range.
         data: The runs prepared for a fit, without these.
         ranges: Ranges of the sensors that saturate, m or rad, by channel.
+        statements: A sentence about each coordinate whose drive turns the other way than declared.
     """
 
+    machine: Machine
     recordings: Sequence[Recording]
     usable: list[Recording]
     data: Dataset
     ranges: dict[str, Range]
+    statements: tuple[str, ...] = ()
 
 
 def prepare_session(
@@ -59,6 +70,24 @@ def prepare_session(
         criteria: Thresholds by which a sensor at the end of its range is recognized.
         log: Called with a line of text.
     """
+    session = _prepared(recordings, machine, criteria, log)
+    turned = turned_coordinates(machine, session.data.runs)
+    if not turned:
+        return session
+    statements = tuple(map(_TURNED.format, turned))
+    for statement in statements:
+        log(statement)
+    turned_machine = with_turned(machine, turned)
+    return _prepared(recordings, turned_machine, criteria, log)._replace(statements=statements)
+
+
+def _prepared(
+    recordings: Sequence[Recording],
+    machine: Machine,
+    criteria: SaturationCriteria,
+    log: Callable[[str], object],
+) -> Session:
+    """Prepare all runs of a session with the directions of the drives of this machine."""
     usable = [usable_run(recording, machine, log).usable for recording in recordings]
     data = prepare(usable, machine)
     inside, ranges = without_saturated(usable, machine, data.noise, criteria)
@@ -69,7 +98,7 @@ def prepare_session(
         log(f"the clock {data.describe_jitter()}")
     for warning in merge_run_warnings((run.name, w) for run in data.runs for w in run.initial.warnings):
         log(f"warning: {warning}")
-    return Session(recordings, usable, data, ranges)
+    return Session(machine, recordings, usable, data, ranges)
 
 
 def prepare(recordings: Sequence[Recording], machine: Machine) -> Dataset:

@@ -39,13 +39,11 @@ class HeldOutTest:
     """The test of every outcome of an identification: simulations over the same held-out runs.
 
     Attributes:
-        machine: Machine as declared.
-        session: All runs, as logged and as prepared.
+        session: All runs, as logged and as prepared, with the declared machine.
         held_out: Held-out runs, prepared.
         criteria: Thresholds of the identification.
     """
 
-    machine: Machine
     session: Session
     held_out: Dataset
     criteria: SelectionCriteria
@@ -75,11 +73,15 @@ class HeldOutTest:
         """
         refined = refine_dataset(outcome.data, outcome.after.machine)
         corrected, selected = _corrected(
-            outcome.after, outcome.selected, self.session.ranges, refined, f"{self.machine.name}-identified"
+            outcome.after,
+            outcome.selected,
+            self.session.ranges,
+            refined,
+            f"{self.session.machine.name}-identified",
         )
-        refitted = outcome.before.machine.replace(name=f"{self.machine.name}-refitted")
+        refitted = outcome.before.machine.replace(name=f"{self.session.machine.name}-refitted")
         declared, before, after = (
-            self.errors(machine, outcome.data) for machine in (self.machine, refitted, corrected)
+            self.errors(machine, outcome.data) for machine in (self.session.machine, refitted, corrected)
         )
         validation = refine_dataset(self.validation, after.machine, outcome.data)
         return Evaluated(outcome, selected, declared, before, after, refined, validation, self)

@@ -125,11 +125,11 @@ def _compared(
 ) -> tuple[PlainResult, Evaluated, str]:
     """Return the plain fit with its errors, the outcome that is delivered, and what replaced the search's machine."""
     outcome, test = evaluated.outcome, evaluated.test
-    reference = test.errors(plain.machine.replace(name=f"{test.machine.name}-plain"), outcome.data)
+    reference = test.errors(plain.machine.replace(name=f"{test.session.machine.name}-plain"), outcome.data)
 
     result = PlainResult(reference, plain.terms)
     log(f"plain fit: {reference.held_out.noise_ratio:.4g} times the noise on the held-out runs")
-    if not test.machine.belts:
+    if not test.session.machine.belts:
         base = reference if _is_worse(evaluated.before, reference, test) else evaluated.before
         described = _described(evaluated, plain, base, log, budget)
         if described is not None:
@@ -165,7 +165,7 @@ def _instead(evaluated: Evaluated, fitted: Fit, reason: str) -> Evaluated:
 
 def _declared(evaluated: Evaluated) -> Fit:
     """Return the declared machine as a fit without free parameters."""
-    machine, data = evaluated.test.machine, evaluated.outcome.data
+    machine, data = evaluated.test.session.machine, evaluated.outcome.data
     cost = prediction_cost(machine, data, SIMULATION)
     return Fit(machine, (), np.zeros(0), cost, data.count, SIMULATION, np.zeros((0, 0)))
 
