@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib
+import pkgutil
+import re
+from pathlib import Path
 
 import pytest
 
-from hframe_gym.identification import SelectionCriteria
+from hframe_gym.identification import SelectionCriteria, judge
 
 pytestmark = pytest.mark.unit
 
@@ -71,3 +75,20 @@ def test_the_thresholds_are_the_calibrated_ones() -> None:
 @pytest.mark.parametrize("value", [0.0, 5.0])
 def test_thresholds_that_are_zero_or_more_are_accepted(value: float) -> None:
     assert SelectionCriteria(explained_chi2=value).explained_chi2 == value
+
+
+def test_the_page_states_the_numbers_of_the_code() -> None:
+    """Of How it decides: "10 % of the excess (`min_gain_fraction`)" in the text, "`CLEAR` 2" in the last table."""
+    page = (Path(__file__).parents[2] / "docs/how_it_decides.md").read_text("utf-8")
+    text, _, table = page.partition("## The numbers that decide")
+    number = r"(?<![\w.])(\d[\d.]*(?:e-?\d+)?)( %)?"
+    stated = [
+        (name, value, percent) for value, percent, name in re.findall(number + r"[^`(|\d]*\(`(\w+)`\)", text)
+    ]
+    stated += re.findall(r"`(\w+)` " + number, table.partition("\n## ")[0])
+    assert len(stated) >= 30
+    values = dataclasses.asdict(SelectionCriteria())
+    for module in pkgutil.iter_modules(judge.__path__):
+        values |= vars(importlib.import_module(f"{judge.__name__}.{module.name}"))
+    for name, value, percent in stated:
+        assert float(value) * (0.01 if percent else 1.0) == pytest.approx(values[name]), name

@@ -161,7 +161,7 @@ def with_probable_starts(current: Fit, data: Dataset, criteria: SelectionCriteri
     Args:
         current: Fit of a machine (k parameters theta, dimensionless, shape (k,)).
         data: Runs that were fitted (times, voltages, measurements, SI).
-        criteria: Decision thresholds: `noise_level`, and the limits of `judge.error.required_gain`.
+        criteria: Decision thresholds of `judge.error.required_gain`.
 
     Returns:
         fit: New fit, theta of shape (k,), to runs that start from their most probable states; `current` if these

@@ -24,8 +24,8 @@ class SearchEffort(SaturationCriteria):
         min_trial_gain: Fraction of the required gain that a trial fit (first few iterations) must reach for the fit to
             be continued.
         max_effects: Largest number of effects that the forward selection adds.
-        max_full_fits: Number of screened candidates that are fitted together with all parameters of the machine, per
-            step.
+        max_full_fits: Number of effects at their sites that are fitted together with all parameters of the machine, per
+            step; each from up to two sets of starting values.
         min_promise: Smallest linearized gain, relative to the best candidate's, for which a candidate is fitted.
         rival_promise: Once a fitted candidate explains the data, smallest linearized gain, relative to that of this
             candidate, for which another candidate is fitted as its possible rival.

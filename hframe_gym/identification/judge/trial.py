@@ -148,7 +148,7 @@ def search_goes_on(error: FitError, selected: int, criteria: SelectionCriteria) 
     Args:
         error: Error with the effects selected up to now.
         selected: Their number.
-        criteria: Decision thresholds `max_effects` and `noise_level`.
+        criteria: Decision thresholds `max_effects` and `min_gain`.
     """
     return selected < criteria.max_effects and not only_noise_is_left(error, criteria)
 

@@ -90,7 +90,7 @@ class EffectSearch:
         bandwidth of the observer that corrects predictions by the measurements is chosen anew (maximum likelihood), and
         earlier effects may be replaced by others that now explain more. If no effect passes, the best one that failed
         is tried together with a second one, because each of two missing effects can hide the other. The search ends at
-        `max_effects` effects or when only noise is left (`noise_level`).
+        `max_effects` effects or when only noise is left (`min_gain`).
 
         Args:
             current: Fit of the machine with the effects selected so far.
