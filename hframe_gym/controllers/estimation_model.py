@@ -161,10 +161,13 @@ class MeasurementModel:
             )
 
     def to_travel(self, measurements: Array) -> Array:
-        """Scale measurements to meters of belt travel, the unit of the measurement equation, shape (B, channels).
+        """Scale measurements to belt travel, m, or its rate, m/s, as the measurement equation has them.
 
         Args:
-            measurements: Measurements, m or rad, shape (B, channels).
+            measurements: Measurements in the units of the channels, shape (B, channels).
+
+        Returns:
+            Measurements, shape (B, channels): m of positions, m/s of speeds; unchanged if the sensor is not used.
         """
         return measurements * self._unit
 

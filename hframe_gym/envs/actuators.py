@@ -107,9 +107,14 @@ ActuatorsLike: TypeAlias = Literal["ideal", "rig", "machine"] | Actuators
 
 
 def with_actuators(machine: Machine, drives: ActuatorsLike) -> Machine:
-    """Return a copy of a machine with the environment option `drives`; "machine": the machine itself.
+    """Return a copy of a machine with converters, current limits and dead time that an environment adds to it.
 
     The machine keeps a dead time that it already has, and a current limit that is smaller than that of `drives`.
+
+    Args:
+        machine: Machine of the environment.
+        drives: What to add: `Actuators`, or a name of `ACTUATOR_PRESETS`. With "machine", nothing is added, and the
+            machine itself is returned.
 
     Raises:
         InputError: If `drives` is invalid, or both the machine and `drives` have a dead time.

@@ -105,7 +105,16 @@ class MachineExporter(Exporter):
         return self.machine if isinstance(self.machine, Machine) else load_machine(self.machine)
 
     def write(self, out: str | Path, log: Callable[[str], None] = lambda line: None) -> None:
-        """Write the files to a folder, or the one with the suffix of `out` to the file `out`."""
+        """Write the files of the export.
+
+        Args:
+            out: Folder for all files. If the files are `separable`, also a file: it gets the content of the one with
+                the same suffix, and no other is written.
+            log: Called with a line "wrote PATH" for each file.
+
+        Raises:
+            InputError: If `out` is a file where a folder is needed.
+        """
         out = Path(out)
         files = self.files(self.loaded())
         chosen = [name for name in files if out.suffix and name.endswith(out.suffix)]

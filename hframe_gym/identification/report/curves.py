@@ -34,11 +34,14 @@ def _drawn_machines(report: Mapping[str, Any], curves: Mapping[str, Array]) -> d
 
 
 def channel_noise(report: Mapping[str, Any], channel: str) -> float | None:
-    """Return the standard deviation of a sensor's noise, m or rad; None if every machine diverges or it is not known.
+    """Return the standard deviation of a sensor's noise in the unit of its channel.
 
     Args:
         report: Content of report.json.
         channel: Name of the output channel.
+
+    Returns:
+        Standard deviation, m, rad or the unit of another quantity; None if every machine diverges or it is not known.
     """
     for stage in ("after", "before", "declared"):
         error = report[stage]["held_out"][channel]
