@@ -9,6 +9,7 @@ from .fit.estimation import Fit, fit
 from .identify import identify
 from .judge.criteria import SelectionCriteria
 from .predict.free_parameters import FreeParameter, default_free_parameters
+from .propose.candidates import STRATEGIES, Candidate, SearchState
 from .propose.screening import screen
 from .report.result import IdentificationResult, write_result
 from .search.forward_selection import EffectSearch
@@ -16,6 +17,8 @@ from .validate.recording_simulation import SimulatedRecording, initial_state_of_
 
 __all__ = [
     "MIN_ROWS",
+    "STRATEGIES",
+    "Candidate",
     "Dataset",
     "EffectSearch",
     "Fit",
@@ -23,6 +26,7 @@ __all__ = [
     "IdentificationResult",
     "InitialState",
     "PreparedRecording",
+    "SearchState",
     "SelectedEffect",
     "SelectionCriteria",
     "SimulatedRecording",

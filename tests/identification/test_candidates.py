@@ -10,7 +10,7 @@ import pytest
 from hframe_gym.effects import EFFECTS, register_effect, unregister_effect
 from hframe_gym.identification.fit.force_sizes import TypicalScales
 from hframe_gym.identification.judge.criteria import SelectionCriteria
-from hframe_gym.identification.propose.candidates import Candidate, candidates, effect_parameters
+from hframe_gym.identification.propose.candidates import Candidate, SearchState, candidates, effect_parameters
 from hframe_gym.identification.propose.periodogram import periodogram_peaks, slow_rates
 from hframe_gym.identification.search.tables import table_candidates
 from hframe_gym.machine import Machine
@@ -120,7 +120,9 @@ def test_an_effect_may_bring_starting_values_of_its_own() -> None:
     effect = dataclasses.replace(EFFECTS["sensor_range"], name="own_range", starting_values=from_largest)
     register_effect(effect)
     try:
-        proposed = candidates(AXIS, data, TypicalScales({"x": {}}, {}), {"x": motion(100.0)[0][:3000]})
+        proposed = candidates(
+            SearchState(AXIS, data, TypicalScales({"x": {}}, {}), {"x": motion(100.0)[0][:3000]})
+        )
     finally:
         unregister_effect("own_range")
     [own] = [c for c in proposed if c.effect is effect]
@@ -151,7 +153,7 @@ def test_second_cogging_is_a_candidate_only_beside_cogging() -> None:
     missing = {"x": motion(100.0)[0][: sum(len(run.time_s) for run in data.runs)]}
 
     def labels(machine: Machine) -> set[str]:
-        return {candidate.label for candidate in candidates(machine, data, scales, missing)}
+        return {candidate.label for candidate in candidates(SearchState(machine, data, scales, missing))}
 
     assert "cogging@motor" in labels(AXIS)
     assert "second_cogging@motor" not in labels(AXIS)

@@ -14,7 +14,12 @@ from hframe_gym.identification.judge.chance import LongRunVariance
 from hframe_gym.identification.judge.effect import parameter_at_limit
 from hframe_gym.identification.judge.rival import largest_resembling_loss
 from hframe_gym.identification.predict.free_parameters import default_free_parameters
-from hframe_gym.identification.propose.candidates import candidates, coverage, effect_parameters
+from hframe_gym.identification.propose.candidates import (
+    SearchState,
+    candidates,
+    coverage,
+    effect_parameters,
+)
 from hframe_gym.identification.propose.trial_fits import indistinguishable
 from hframe_gym.machine import Machine
 from hframe_gym.recordings import Recording
@@ -85,7 +90,7 @@ def test_a_period_longer_than_the_travel_is_no_candidate() -> None:
     missing = {"x": np.column_stack([position, np.gradient(position), np.cos(4.0 * position / travel)])}
     periods = [
         candidate.columns[0]["L"]
-        for candidate in candidates(AXIS, data, scales, missing, slow_friction=True)
+        for candidate in candidates(SearchState(AXIS, data, scales, missing, slow=True))
         if candidate.effect.name == "position_friction"
     ]
     assert periods
@@ -115,5 +120,7 @@ def test_what_the_runs_do_not_limit_may_be_negative(name: str, site: str, parame
     free = {f.name: f for f in effect_parameters(effect, AXIS.with_effects(effect), scales)}
     assert free[f"{effect.label}.{parameter}"].lower < 0.0
     missing = {"x": np.zeros((rows_of(data), 3))}
-    proposed = [c for c in candidates(AXIS, data, scales, missing) if c.effect.name == "cable_spring"]
+    proposed = [
+        c for c in candidates(SearchState(AXIS, data, scales, missing)) if c.effect.name == "cable_spring"
+    ]
     assert len(proposed) == 3  # the spring is relaxed at the middle or at one of two ends

@@ -11,10 +11,8 @@ import pytest
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import default_free_parameters, fit, identify, prepare, screen
-from hframe_gym.identification.fit.force_sizes import typical_scales
-from hframe_gym.identification.fit.residual import missing_force
 from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH
-from hframe_gym.identification.propose.candidates import candidates
+from hframe_gym.identification.propose.candidates import SearchState, candidates
 from hframe_gym.identification.propose.dependences import rank_dependences
 from hframe_gym.machine import BUILTIN_MACHINES, Machine, rest_state
 from hframe_gym.recordings import Recording
@@ -57,8 +55,7 @@ def test_candidates_on_an_axis_that_never_moves_gain_nothing(noise_of_y: float) 
     fitted = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # no division by zero or overflow
-        scales = typical_scales(fitted, data)
-        ranked = screen(fitted, candidates(machine, data, scales, missing_force(fitted.machine, data)), data)
+        ranked = screen(fitted, candidates(SearchState.of(fitted, data)), data)
     assert ranked[0].candidate.label == DRAG.label
     at_y = [scored for scored in ranked if scored.candidate.site in ("y", "motor_y", "y_m")]
     assert len(at_y) > 20

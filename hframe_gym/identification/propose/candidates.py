@@ -1,30 +1,32 @@
-"""List the candidates of the search: every effect of the library at every site, with several starting values.
+"""Candidates of the search: effects at sites with starting values, which strategies propose.
 
-An effect is a deviation from the nominal model, such as cogging. A site is the component that an effect acts on: a
-coordinate, a drive, a sensor or the machine. The library gives starting values relative to typical sizes (0.3 of the
-typical force, a tenth of the top speed); `TypicalScales` holds these sizes. The starting values of periods are the
-peaks of a periodogram of the missing force, the force that the model lacks.
+A strategy is a function of what the search knows (`SearchState`), in the registry `STRATEGIES`. The modules in
+`strategies/` register those of the package. A proposal costs only a part of one simulation: `screening` ranks all of
+them, and only the best are fitted.
 """
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...effects import EFFECTS, effect_sites
+from ...effects import effect_sites
 from ...effects.smooth_table import TABLE_FAMILY
+from ...errors import InputError
 from ...machine import AppliedEffect, Effect, EffectParameter, Machine
 from ...preparation.dataset import Dataset
-from ..fit.force_sizes import SESSION, TypicalScales
+from ...registry import Registry
+from ..fit.estimation import Fit
+from ..fit.force_sizes import SESSION, TypicalScales, typical_scales
+from ..fit.residual import missing_force
 from ..predict.free_parameters import FreeParameter
-from .periodogram import MIN_FORCE_PERIODS, MIN_FRICTION_PERIODS, periodogram_peaks, slow_rates
+from ..predict.prediction import SEARCH_BANDWIDTH
+from .periodogram import MIN_FORCE_PERIODS, MIN_FRICTION_PERIODS
 
 Array = NDArray[np.float64]
-_MAX_SHAPES = 64  # Sets of starting values per effect and site.
 
 _LEAST_PERIOD_PRIOR = 0.1  # relative
 _ROUNDING = 0.01  # relative; predictions with different observers have slightly different travels
@@ -100,48 +102,117 @@ class Candidate:
         return self.effect.at(self.site, **{n: float(np.clip(v, *bounds[n])) for n, v in values.items()})
 
 
-def candidates(
-    machine: Machine,
-    data: Dataset,
-    scales: TypicalScales,
-    missing_force: Mapping[str, Array],
-    *,
-    slow_friction: bool = False,
-) -> list[Candidate]:
-    """List the effects (deviations from the model) that the machine may lack, as candidates for a search.
+@dataclass(frozen=True)
+class SearchState:
+    """What the search knows when it proposes effects: the argument of a strategy.
 
-    Every effect is combined with every component that it can act on (its site), and with several starting values.
+    Attributes:
+        machine: Machine with the effects that have been selected so far.
+        data: Prepared recordings that are fitted (times, voltages, measurements).
+        scales: Typical sizes of force, speed, ... at each component.
+        missing_force: By coordinate name, an array of shape (n, 3) over all rows of all runs with the columns position,
+            velocity and missing force (the force that the model lacks): m, m/s, N or rad, rad/s, Nm.
+        slow: Whether a narrow observer shows errors that change slowly.
+    """
+
+    machine: Machine
+    data: Dataset
+    scales: TypicalScales
+    missing_force: Mapping[str, Array]
+    slow: bool = False
+
+    @classmethod
+    def of(cls, fitted: Fit, data: Dataset) -> SearchState:
+        """Return what the search knows after a fit.
+
+        Args:
+            fitted: Fit of the machine with the effects that have been selected so far.
+            data: Prepared recordings that are fitted (times, voltages, measurements).
+
+        Returns:
+            State with the missing force of each coordinate, shape (n, 3).
+        """
+        scales, missing = typical_scales(fitted, data), missing_force(fitted.machine, data)
+        return cls(fitted.machine, data, scales, missing, slow=fitted.bandwidth < SEARCH_BANDWIDTH)
+
+    def sites(self, effect: Effect) -> tuple[str, ...]:
+        """Return the sites at which the machine may lack an effect, and where a strategy may propose it.
+
+        There is none for effects that a refit of the machine's parameters can represent, and for those that replace a
+        part of the model (they add coordinates or replace dry friction), which `screening.screen_structures` tries.
+        Left out are sites where the machine has the effect, or lacks another one that it requires.
+        """
+        if effect.replaces_model_part or effect.refitted:
+            return ()
+        present = {e.label for e in self.machine.effects}
+        return tuple(
+            site
+            for site in effect_sites(effect, self.machine)
+            if f"{effect.name}@{site}" not in present
+            and (not effect.requires or f"{effect.requires}@{site}" in present)
+        )
+
+    def sizes(self, effect: Effect, site: str) -> Mapping[str, float]:
+        """Return the typical sizes, SI, at a site of an effect, by unit of its parameters (`TypicalScales.of`)."""
+        return _scales_at(effect, site, self.machine, self.scales)
+
+    def motion(self, effect: Effect, site: str) -> Array:
+        """Return the rows of `missing_force` at the coordinate on which an effect at a site acts, shape (n, 3)."""
+        return self.missing_force[self.machine.coordinate_of_site(site, effect.site) or ""]
+
+    def covers(self, effect: Effect, site: str, values: Mapping[str, float]) -> bool:
+        """Return whether the runs can show an effect with given values of parameters, see `coverage`.
+
+        Args:
+            effect: Effect at the site.
+            site: Where it acts.
+            values: Values of some or all of its parameters, SI, by name.
+        """
+        sizes = self.sizes(effect, site)
+        limits = {p.name: coverage(p, sizes) for p in effect.parameters if p.name in values}
+        return all(
+            (1.0 - _ROUNDING) * low <= values[name] <= (1.0 + _ROUNDING) * high
+            for name, (low, high) in limits.items()
+        )
+
+    def candidate(self, effect: Effect, site: str, values: Mapping[str, float]) -> Candidate:
+        """Return a candidate; amplitudes get their typical sizes, and phases are those of sine and cosine.
+
+        Args:
+            effect: Effect to propose.
+            site: One of `sites`.
+            values: Starting values, SI, by name, of all parameters of the effect but amplitude and phase.
+
+        Raises:
+            InputError: If a value is missing or no such parameter exists.
+        """
+        names = {p.name for p in effect.parameters if p.role not in ("amplitude", "phase")}
+        if set(values) != names:
+            needed, given = (", ".join(sorted(each)) or "no values" for each in (names, values))
+            raise InputError(f"a candidate of {effect.name} starts from {needed}, not from {given}")
+        sizes = self.sizes(effect, site)
+        return Candidate(effect, site, _columns(effect, values, sizes), sizes)
+
+
+Strategy = Callable[[SearchState], Iterable[Candidate]]
+STRATEGIES: Registry[Strategy] = Registry("proposal strategy", package=f"{__package__}.strategies")
+
+
+def candidates(state: SearchState) -> list[Candidate]:
+    """Return what all strategies propose: effects that the machine may lack, at sites, with starting values.
 
     Args:
-        machine: Machine with the effects that have been selected so far.
-        data: Prepared recordings (times, voltages, measurements).
-        scales: Typical sizes of force, speed, ...; the library states starting values as multiples of them.
-        missing_force: By coordinate name, an array of shape (n, 3) over all rows of all runs with the columns position,
-            velocity and missing force (the force that the model lacks): m, m/s, N or rad, rad/s, Nm. Effects that are
-            periodic in position start from the strongest spatial periods of the missing force.
-        slow_friction: Whether friction that is periodic in position also starts from long periods: 0.5 to 6 periods
-            over the range of the positions.
+        state: What the search knows.
 
     Returns:
-        One candidate per effect, site (component) and set of starting values, at most 64 per effect and site. Left out
-        are effects that the machine has already, effects that require another effect which the machine lacks, effects
-        that a refit of the machine's parameters can represent, and effects that replace a part of the model
-        (they add coordinates or replace dry friction), which `screening.screen_structures` tries.
+        Candidates, those of one strategy after those of another, in the order of the strategies' names. Proposals at
+        other sites than `SearchState.sites`, and with values that the runs cannot show, are left out.
     """
-    present = {e.label for e in machine.effects}
-    proposed: list[Candidate] = []
-    for effect in EFFECTS.values():
-        if effect.replaces_model_part or effect.refitted:
-            continue
-        for site in effect_sites(effect, machine):
-            if f"{effect.name}@{site}" in present or (
-                effect.requires and f"{effect.requires}@{site}" not in present
-            ):
-                continue
-            at_site = _scales_at(effect, site, machine, scales)
-            for shape in _shapes(effect, site, machine, data, at_site, missing_force, slow_friction):
-                proposed.append(Candidate(effect, site, _columns(effect, shape, at_site), at_site))
-    return proposed
+    proposed = [candidate for name in sorted(STRATEGIES) for candidate in STRATEGIES.get(name)(state)]
+    sites = {c.effect.name: state.sites(c.effect) for c in proposed}
+    return [
+        c for c in proposed if c.site in sites[c.effect.name] and state.covers(c.effect, c.site, c.columns[0])
+    ]
 
 
 def is_required(machine: Machine, label: str) -> bool:
@@ -175,51 +246,6 @@ def _columns(
     if phase is not None:
         return tuple({**size, **shape, phase: angle} for angle in (0.0, np.pi / 2))
     return tuple({**zero, **shape, name: size[name]} for name in size) or (dict(shape),)
-
-
-def _shapes(
-    effect: Effect,
-    site: str,
-    machine: Machine,
-    data: Dataset,
-    scales: Mapping[str, float],
-    missing_force: Mapping[str, Array],
-    slow_friction: bool,
-) -> list[Mapping[str, float]]:
-    """Return the starting values of everything but amplitudes and phases."""
-    if effect.starting_values is not None:
-        j = machine.output_channels.index(site)
-        return list(effect.starting_values(data.measured_values(j), float(data.noise[j])))
-    grids: dict[str, list[float]] = {}
-    for p in effect.parameters:
-        if p.role in ("shape", "switch"):
-            grids[p.name] = [g * scales.get(p.unit, 1.0) for g in p.grid]
-        elif p.role in ("rate", "period"):
-            motion = missing_force[machine.coordinate_of_site(site, effect.site) or ""]
-            rates = periodogram_peaks(
-                motion, data.period, factor=_factor(effect, site, machine, data, motion)
-            )
-            if slow_friction and effect.coulomb:
-                rates = np.concatenate([rates, slow_rates(motion[:, 0])])
-            grids[p.name] = [float(rate) if p.role == "rate" else float(2 * np.pi / rate) for rate in rates]
-    limits = {p.name: coverage(p, scales) for p in effect.parameters}
-    for name, values in grids.items():
-        low, high = limits[name]
-        grids[name] = [v for v in values if (1.0 - _ROUNDING) * low <= v <= (1.0 + _ROUNDING) * high]
-    shapes = [dict(zip(grids, values, strict=True)) for values in itertools.product(*grids.values())]
-    return list(shapes[:_MAX_SHAPES])
-
-
-def _factor(effect: Effect, site: str, machine: Machine, data: Dataset, motion: Array) -> Array | None:
-    """Return what multiplies a periodic quantity of an effect in each row, see `periodogram_peaks`."""
-    if effect.coulomb:
-        return np.sign(motion[:, 1])
-    if not effect.torque:
-        return None
-    j = [drive.name for drive in machine.drives].index(site)
-    drive, command = machine.drives[j], np.concatenate([run.inputs[:, j] for run in data.runs])
-    current: Array = (command - drive.emf_constant * motion[:, 1]) / drive.resistance
-    return current / max(float(np.abs(current).max()), np.finfo(float).tiny)
 
 
 def covered_by_runs(parameter: EffectParameter) -> bool:

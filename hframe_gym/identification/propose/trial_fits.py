@@ -19,13 +19,12 @@ from ..budget import spend
 from ..fit.estimation import Fit, fit, prediction_cost
 from ..fit.force_sizes import TypicalScales, effect_force, residue_force, typical_scales
 from ..fit.model_error import continue_fit, polish, search_step
-from ..fit.residual import missing_force
 from ..judge import trial as judge
 from ..judge.criteria import SelectionCriteria
 from ..judge.error import FitError
 from ..predict.free_parameters import FreeParameter, default_free_parameters, values_at
 from ..predict.prediction import POLISH_STEP, SEARCH_BANDWIDTH
-from .candidates import Candidate, candidates, effect_parameters, is_required
+from .candidates import SearchState, candidates, effect_parameters, is_required
 from .screening import ScoredCandidate, resemblances, screen, screen_structures
 
 Array = NDArray[np.float64]
@@ -156,17 +155,10 @@ def best_error(trials: list[Fit]) -> FitError | None:
 
 def _ranked_candidates(current: Fit, data: Dataset) -> tuple[TypicalScales, list[ScoredCandidate]]:
     """Return typical sizes on the machine and its screened candidates, largest predicted reduction of cost first."""
-    scales, proposed = _proposed_candidates(current, data)
+    state = SearchState.of(current, data)
+    proposed = candidates(state)
     spend(f"screening {len({c.label for c in proposed})} effects at their components ({current.mode})")
-    return scales, screen(current, proposed, data)
-
-
-def _proposed_candidates(current: Fit, data: Dataset) -> tuple[TypicalScales, list[Candidate]]:
-    """Return typical sizes on the machine and its candidates."""
-    scales = typical_scales(current, data)
-    slow = current.bandwidth < SEARCH_BANDWIDTH
-    motion = missing_force(current.machine, data)
-    return scales, candidates(current.machine, data, scales, motion, slow_friction=slow)
+    return state.scales, screen(current, proposed, data)
 
 
 def indistinguishable(
@@ -193,7 +185,7 @@ def indistinguishable(
     kept = [f.name in machine.parameters for f in current.free]
     free, theta = tuple(itertools.compress(current.free, kept)), current.theta[kept]
     without = dataclasses.replace(current, machine=machine, free=free, theta=theta)
-    others = [c for c in _proposed_candidates(without, data)[1] if c.label != effect.label]
+    others = [c for c in candidates(SearchState.of(without, data)) if c.label != effect.label]
     spend(f"comparing {effect.label} with {len({c.label for c in others})} other effects")
     found = resemblances(without, effect, others, data)
     return [each.effect for each in found if each.loss <= largest_loss][:_RESEMBLING]

@@ -19,15 +19,13 @@ from ..evidence.rivals import close_rivals, simplest_first
 from ..evidence.significance import long_run_variance
 from ..evidence.tried_effects import ConsideredEffect, Log, SelectedEffect
 from ..fit.estimation import Fit
-from ..fit.force_sizes import typical_scales
 from ..fit.model_error import continue_fit, leave_one_out_gain, likelihood_loss, polish
-from ..fit.residual import missing_force
 from ..fit.start_estimation import refine_dataset
 from ..judge.criteria import SelectionCriteria
 from ..judge.effect import TimingEvidence, doubt_about_timing, removed_fraction
 from ..judge.held_out import is_denied
 from ..predict.prediction import LONGEST_OBSERVER_PERIOD, SEARCH_BANDWIDTH
-from ..propose.candidates import candidates
+from ..propose.candidates import SearchState, candidates
 from ..propose.screening import screen
 from ..propose.trial_fits import converge, fit_with_candidate
 from .search_effects import SearchOutcome
@@ -108,13 +106,12 @@ def _is_timing(effect: Effect) -> bool:
 
 def _trials(current: Fit, data: Dataset) -> Iterator[Fit]:
     """Fit each delay and lag of the library that promises to reduce the error, once per component."""
-    scales = typical_scales(current, data)
-    proposed = candidates(current.machine, data, scales, missing_force(current.machine, data))
+    state = SearchState.of(current, data)
     tried: set[str] = set()
-    for scored in screen(current, [c for c in proposed if _is_timing(c.effect)], data):
+    for scored in screen(current, [c for c in candidates(state) if _is_timing(c.effect)], data):
         if scored.gain > 0.0 and scored.candidate.label not in tried:
             tried.add(scored.candidate.label)
-            yield fit_with_candidate(current, scored, scales, data)
+            yield fit_with_candidate(current, scored, state.scales, data)
 
 
 def _denied(added: SelectedEffect, extended: Fit, validation: Dataset) -> bool:

@@ -1,0 +1,5 @@
+"""Strategies that propose effects to the search: found because they are in this folder (`candidates.STRATEGIES`)."""
+
+from ....registry import import_modules
+
+import_modules(__name__, __path__)

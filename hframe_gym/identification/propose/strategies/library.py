@@ -1,0 +1,76 @@
+"""Propose every effect of the library at every site, with several starting values.
+
+The library gives starting values relative to typical sizes (0.3 of the typical force, a tenth of the top speed). Those
+of periods are the peaks of a periodogram of the missing force, the force that the model lacks.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from ....arrays import Array
+from ....effects import EFFECTS
+from ....machine import Effect
+from ..candidates import STRATEGIES, Candidate, SearchState
+from ..periodogram import periodogram_peaks, slow_rates
+
+_MAX_SHAPES = 64  # Sets of starting values per effect and site.
+
+
+@STRATEGIES.register("library")
+def library(state: SearchState) -> Iterator[Candidate]:
+    """Propose the effects of the library at all their sites.
+
+    Yields:
+        One candidate per effect, site and set of starting values, at most 64 per effect and site.
+    """
+    for effect in EFFECTS.values():
+        for site in state.sites(effect):
+            for values in _starting_values(effect, site, state):
+                yield state.candidate(effect, site, values)
+
+
+def _starting_values(effect: Effect, site: str, state: SearchState) -> list[Mapping[str, float]]:
+    """Return the starting values of everything but amplitudes and phases."""
+    if effect.starting_values is not None:
+        j = state.machine.output_channels.index(site)
+        return list(effect.starting_values(state.data.measured_values(j), float(state.data.noise[j])))
+    sizes, grids = state.sizes(effect, site), dict[str, list[float]]()
+    for p in effect.parameters:
+        if p.role in ("shape", "switch"):
+            grids[p.name] = [g * sizes.get(p.unit, 1.0) for g in p.grid]
+        elif p.role in ("rate", "period"):
+            rates = _rates(effect, site, state)
+            grids[p.name] = [float(rate) if p.role == "rate" else float(2 * np.pi / rate) for rate in rates]
+    for name, values in grids.items():
+        grids[name] = [v for v in values if state.covers(effect, site, {name: v})]
+    sets = [dict(zip(grids, values, strict=True)) for values in itertools.product(*grids.values())]
+    return list(sets[:_MAX_SHAPES])
+
+
+def _rates(effect: Effect, site: str, state: SearchState) -> Array:
+    """Return the strongest spatial rates of the missing force, shape (rates,), in rad per unit of the position.
+
+    Friction that varies slowly over the position may hide in its noise, and starts from a grid as well.
+    """
+    motion = state.motion(effect, site)
+    rates = periodogram_peaks(motion, state.data.period, factor=_factor(effect, site, state))
+    if state.slow and effect.coulomb:
+        rates = np.concatenate([rates, slow_rates(motion[:, 0])])
+    return rates
+
+
+def _factor(effect: Effect, site: str, state: SearchState) -> Array | None:
+    """Return what multiplies a periodic quantity of an effect in each row, see `periodogram_peaks`."""
+    velocity = state.motion(effect, site)[:, 1]
+    if effect.coulomb:
+        return np.sign(velocity)
+    if not effect.torque:
+        return None
+    j = [drive.name for drive in state.machine.drives].index(site)
+    drive, command = state.machine.drives[j], np.concatenate([run.inputs[:, j] for run in state.data.runs])
+    current: Array = (command - drive.emf_constant * velocity) / drive.resistance
+    return current / max(float(np.abs(current).max()), np.finfo(float).tiny)

@@ -1,0 +1,77 @@
+"""Strategies that propose effects: one function that registers itself is all that the search needs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from hframe_gym.effects import EFFECTS
+from hframe_gym.errors import InputError
+from hframe_gym.identification import STRATEGIES, Candidate, SearchState, default_free_parameters, fit
+from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH
+from hframe_gym.identification.propose.candidates import candidates
+from hframe_gym.identification.propose.trial_fits import _ranked_candidates
+from tests.identification.axis_results import AXIS, axis_runs
+
+pytestmark = pytest.mark.unit
+
+PERIOD = 0.0137  # m
+FRICTION = EFFECTS["position_friction"]
+RIG = AXIS.with_effects(FRICTION.at("x", A=0.4, L=PERIOD, p=0.3))
+
+
+@pytest.fixture(scope="module")
+def state() -> SearchState:
+    """Return what the search knows of an axis with friction that repeats over the position."""
+    data = axis_runs(RIG, rows=2000, volts=5.0)
+    return SearchState.of(fit(AXIS, default_free_parameters(AXIS), data, SEARCH_BANDWIDTH), data)
+
+
+@pytest.fixture
+def known_period() -> Iterator[None]:
+    """Register a strategy that knows the period of a rail, and proposes nonsense too."""
+
+    @STRATEGIES.register("rail")
+    def rail(state: SearchState) -> Iterator[Candidate]:
+        for site in state.sites(FRICTION):
+            yield state.candidate(FRICTION, site, {"L": PERIOD})
+            yield state.candidate(FRICTION, site, {"L": 1e3 * state.sizes(FRICTION, site)["position"]})
+        yield state.candidate(FRICTION, "no such place", {"L": PERIOD})
+
+    yield
+    STRATEGIES.unregister("rail")
+
+
+def test_the_search_ranks_what_a_strategy_proposes(state: SearchState, known_period: None) -> None:
+    """The known period comes first; a period longer than the travel and an unknown site are left out."""
+    library = list(STRATEGIES.get("library")(state))
+    added = candidates(state)[len(library) :]
+    assert [(c.label, c.columns[0]["L"]) for c in added] == [("position_friction@x", PERIOD)]
+    current = fit(AXIS, default_free_parameters(AXIS), state.data, SEARCH_BANDWIDTH)
+    best = _ranked_candidates(current, state.data)[1][0]
+    assert best.candidate.columns[0]["L"] == PERIOD
+
+
+def test_nothing_is_proposed_that_the_machine_has(state: SearchState) -> None:
+    """Nor what a refit can represent, or what replaces a part of the model."""
+    assert state.sites(FRICTION) == ("x",)
+    assert SearchState(RIG, state.data, state.scales, state.missing_force).sites(FRICTION) == ()
+    assert state.sites(EFFECTS["presliding"]) == ()
+    assert all(state.sites(effect) == () for effect in EFFECTS.values() if effect.refitted)
+
+
+@pytest.mark.parametrize("values", [{}, {"L": 0.01, "A": 0.1}])
+def test_starting_values_are_those_of_the_shape(state: SearchState, values: dict[str, float]) -> None:
+    """The amplitude follows from the linearized residual."""
+    with pytest.raises(InputError, match="position_friction starts from L, not from"):
+        state.candidate(FRICTION, "x", values)
+
+
+def test_amplitude_and_phase_are_added(state: SearchState) -> None:
+    """A sine and a cosine of typical size."""
+    sine, cosine = state.candidate(FRICTION, "x", {"L": PERIOD}).columns
+    assert sine["L"] == cosine["L"] == PERIOD
+    assert sine["A"] == cosine["A"] > 0.0
+    assert cosine["p"] - sine["p"] == pytest.approx(np.pi / 2)
