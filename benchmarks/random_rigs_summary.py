@@ -13,6 +13,9 @@ from rich.table import Table
 Row = dict[str, Any]
 MAX_RELATIVE_STD = 0.2  # above it a parameter counts as not identifiable and does not enter the coverage
 QUANTILES = {"68": 1.0, "95": 1.96}  # half-widths of the intervals in standard deviations
+NO_TRACE = (
+    24.0  # noise variances: below this gain of one parameter, chance is not excluded (docs/how_it_decides.md)
+)
 LOGS = {"1": (1, 1), "2 to 5": (2, 5), "8 to 20": (8, 20)}  # changes of the voltages from one row to the next
 NOTHING, UNEXPLAINED, OTHERS = "(nothing)", "(unexplained)", "(not there)"
 _SLOPES = (0.1, 0.2, 0.4, 0.8)  # widths of the detection curve, in natural logarithms of the size
@@ -121,13 +124,20 @@ def _names(rows: list[Row], detection: dict[str, Any]) -> dict[str, Any]:
     above = [h for r in clean for h in r["hidden"] if _above(h, detection)]
     hidden = [h for r in _of_kind(rows, "library") for h in r["hidden"] if not h["absorbed"]]
     median = _median(h["size"] for h in hidden)
-    large = [h for h in hidden if h["size"] > median]
+    large = [h for h in hidden if h["size"] > median and not _without_trace(h)]
     return counts | {
         "above_detection": {"effects": len(above), "identified": sum(h["identified"] for h in above)},
         "above_median_size": {
             "effects": len(large), "identified": sum(h["identified"] for h in large), "size": median,
         },
+        "without_trace": {"effects": sum(map(_without_trace, hidden))},
     }  # fmt: skip
+
+
+def _without_trace(hidden: dict[str, Any]) -> bool:
+    """Return whether the runs to identify do not show a hidden effect, so that no method can find it."""
+    trace = hidden.get("trace")
+    return trace is not None and trace < NO_TRACE
 
 
 def _above(hidden: dict[str, Any], detection: dict[str, Any]) -> bool:
@@ -238,18 +248,26 @@ def coverage(rows: list[Row], keep: Callable[[dict[str, Any]], bool]) -> dict[st
 
 
 def _errors(clean: list[Row], residue: list[Row]) -> dict[str, Any]:
-    """Summarize the errors on unseen runs: over the noise, and over what the true machine reaches."""
+    """Summarize the errors on unseen runs: over the noise, and over what the true machine reaches.
+
+    "over_truth" leaves out rigs with an effect that the runs to identify do not show: unseen runs may show it.
+    """
     over_noise = [r["unseen"]["after"]["mean"] for r in clean]
     over_truth = {
-        name: [r["unseen"]["after"]["mean"] / r["unseen"]["true"]["mean"] for r in some]
-        for name, some in (("clean", clean), ("residue", residue))
+        name: [_over_truth(r) for r in some] for name, some in (("clean", clean), ("residue", residue))
     }
+    shown = [r for r in [*clean, *residue] if not any(map(_without_trace, r["hidden"]))]
     return {
         "clean_over_noise": _quantiles(over_noise, 1.1),
         "clean_over_truth": _quantiles(over_truth["clean"], 1.1),
         "residue_over_truth": _quantiles(over_truth["residue"], 1.2),
-        "over_truth": _quantiles(over_truth["clean"] + over_truth["residue"], 1.3),
+        "over_truth": _quantiles([_over_truth(r) for r in shown], 1.3),
     }
+
+
+def _over_truth(row: Row) -> float:
+    """Return the error of the answer on unseen runs over that of the true machine."""
+    return float(row["unseen"]["after"]["mean"] / row["unseen"]["true"]["mean"])
 
 
 def _by_log(rows: list[Row]) -> dict[str, Any]:
@@ -286,7 +304,7 @@ def show(console: Console, content: dict[str, Any]) -> None:
     """
     names = Table("rigs", "count", "right", "effects", "identified", "rigs with false names")
     for name, counts in content["names"].items():
-        if not name.startswith("above"):
+        if "rigs" in counts:
             false = content["false_names"][name]["with_false_name"]
             names.add_row(
                 name, *(str(counts[key]) for key in ("rigs", "right", "effects", "identified")), str(false)
@@ -295,6 +313,7 @@ def show(console: Console, content: dict[str, Any]) -> None:
     for name, text in (("above_detection", "detection size"), ("above_median_size", "size")):
         above = content["names"][name]
         console.print(f"above the median {text}: {above['identified']} of {above['effects']} identified")
+    console.print(f"without a trace in the runs: {content['names']['without_trace']['effects']} effects")
     for name, found in content["logs"].items():
         errors = found["over_truth"]
         if errors["rigs"]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import time
@@ -71,7 +72,8 @@ def score_rig(
         "residue": rig.residue.kind,
         "truth": rig.describe(),
         "hidden": [
-            _hidden(effect, i) for effect, i in zip(rig.hidden_effects, names.identified, strict=True)
+            _hidden(effect, i) | {"trace": trace(session, effect)}
+            for effect, i in zip(rig.hidden_effects, names.identified, strict=True)
         ],
         "verdict": result.verdict,
         "named": [
@@ -118,6 +120,34 @@ def _hidden(effect: DrawnEffect, identified: bool) -> dict[str, Any]:
         "absorbed": effect.absorbed,
         "identified": identified,
     }
+
+
+def trace(session: RandomSession, effect: DrawnEffect) -> float | None:
+    """Return how much an effect changes the measurements of the runs to identify, beside the rig's other effects.
+
+    No method can find an effect without a trace: a controller that follows programs need not reach the current at which
+    a drive saturates. What other parameters could make up for is not subtracted.
+
+    Args:
+        session: The recorded rig.
+        effect: One of its hidden effects.
+
+    Returns:
+        Sum of the squared changes in units of the noise, over all measurements, dimensionless; infinite if a simulation
+        diverges. None if the machine with or without the effect cannot be described by the library.
+    """
+    rig = session.rig
+    others = tuple(other for other in rig.hidden_effects if other is not effect)
+    complete = true_machine(rig)
+    if complete is None or effect.name == "idler_inertia":  # without idlers, the belts run differently
+        return None
+    reduced = true_machine(dataclasses.replace(rig, hidden_effects=others))
+    assert reduced is not None
+    updates, total = rig.closed_loop.updates if rig.closed_loop else 1, 0.0
+    for recording in session.recordings:
+        with_it, without = (simulation_error(m, recording, updates) for m in (complete, reduced))
+        total += float(np.nansum(((with_it - without) / NOISE) ** 2))
+    return total if math.isfinite(total) else math.inf
 
 
 def _mean_ratio(errors: dict[str, Any]) -> float | None:

@@ -302,10 +302,17 @@ def _closed_loop_measures(content: dict[str, Any]) -> list[list[str]]:
     text = "error on unseen runs over that of the true machine: median; 95 % quantile; share within"
     rows = [
         [
-            f"all rigs with library effects: effects larger than {size}, their median, identified",
+            f"all rigs with library effects: effects with a trace, larger than {size} (the median), identified",
             ratio(above),
         ],
-        [f"the same and those without effects: {text} {within}", quantiles(errors)],
+        [
+            "effects without a trace in the runs, which no method can find",
+            str(content["names"]["without_trace"]["effects"]),
+        ],
+        [
+            f"rigs with library effects, each with a trace, or without effects: {text} {within}",
+            quantiles(errors),
+        ],
     ]
     for name, found in content["logs"].items():
         rows.append(

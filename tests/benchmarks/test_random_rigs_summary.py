@@ -77,6 +77,18 @@ def test_effects_above_the_median_size_count_in_all_rigs_with_effects_of_the_lib
     assert above == {"effects": 2, "identified": 1, "size": 0.3}
 
 
+def test_effects_without_a_trace_in_the_runs_count_separately():
+    unseen = _hidden("presliding", 0.9, False) | {"trace": 0.0}
+    rows = [*ROWS, _row(8, [unseen], verdict="no_effect", after=50.0)]
+    content = summary(rows)
+    assert content["names"]["without_trace"]["effects"] == 1
+    assert content["names"]["above_median_size"]["effects"] == 2
+    assert content["unseen"]["over_truth"] == summary(ROWS)["unseen"]["over_truth"]
+    assert content["unseen"]["clean_over_truth"] != summary(ROWS)["unseen"]["clean_over_truth"]
+    rows[-1]["hidden"][0]["trace"] = 1e4
+    assert summary(rows)["names"]["above_median_size"]["effects"] == 3
+
+
 def test_rigs_in_closed_loop_are_grouped_by_the_changes_of_the_voltages_in_a_row_of_the_log():
     rows = [row | {"updates": updates} for row, updates in zip(ROWS[:6], (1, 2, 4, 5, 10, 20), strict=True)]
     logs = summary(rows)["logs"]
