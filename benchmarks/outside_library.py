@@ -3,8 +3,9 @@
     python -m benchmarks.outside_library --seed 1 --only 3 7 --log   # some rigs; nothing is written
     python -m benchmarks.outside_library --seed 1                    # all twenty
 
-The rigs come from `tests.rigs.outside_rigs` and an independent simulator: fourteen families, half of the rigs recorded
-in open loop and half under a position controller. Seed 1 is for development. No effect of the library is right here:
+The rigs come from `tests.rigs.outside_rigs` and an independent simulator: every family that the library lacks, half of
+the rigs recorded in open loop and half under a position controller. Seed 1 is for development. No effect of the library
+is right here:
 
 - A name is **false** if it is not a neighbor in kind of what the rig hides (same component, and same variable or
   mechanism: `OutsideEffect.neighbors`), or if the machine with it leaves most of the error, which any name would hide:

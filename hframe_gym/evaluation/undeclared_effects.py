@@ -9,9 +9,9 @@ other, and an episode has two effects on average (13 % of the episodes have none
 log-uniform from `SMALLEST_SIZE` to 1 times its full size, which is what a used machine may plausibly have. Further
 parameters (wavelengths, phases) have the distributions of the table.
 
-Left out are effects that change the machine's structure (`bridge_yaw`, `idler_inertia`, `frame_resonance`), those that
-replace its friction law (`presliding`, `bouc_wen_hysteresis`), and those of the sensors' scale, skew and range, because
-they move the measured goal: no controller could then reach the true one.
+Left out are effects that change the machine's structure (`bridge_yaw`, `idler_inertia`, `frame_resonance`,
+`payload_swing`), those that replace its friction law (`presliding`, `bouc_wen_hysteresis`), and those of the sensors'
+scale, skew and range, because they move the measured goal: no controller could then reach the true one.
 """
 
 from __future__ import annotations

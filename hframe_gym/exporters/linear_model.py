@@ -196,7 +196,7 @@ def _evaluated(equations: Equations, position: Array, points: Array, n: int) -> 
     accelerations = equations.accelerations(point, list(points[:, 2 * n :].T), np.zeros_like)
     in_units = [a * equations.per_radius(i) for i, a in enumerate(accelerations)]
     voltages = equations.motor_voltages(list(points[:, 2 * n :].T))
-    currents = [equations.current(j, point, voltage) for j, voltage in enumerate(voltages)]
+    currents = [equations.current(j, point, voltages) for j in range(len(voltages))]
     positions, velocities = (position + points[:, :n]).T, points[:, n : 2 * n].T
     readings = equations.sensor_readings(list(positions), list(velocities), in_units, currents)
     return tuple(  # type: ignore[return-value]

@@ -23,16 +23,10 @@ from ..errors import InputError
 SiteKind = Literal["coordinate", "motor", "drive", "drives", "belts", "sensor", "machine"]
 Hook = Callable[..., Any]
 HOOKS = (
-    *("force", "active_region", "coulomb", "friction", "viscous", "voltage", "delay", "current", "torque"),
-    *(
-        "tension",
-        "energy_slope",
-        "belt_travel",
-        "lever_arm",
-        "rest_angle_offset",
-        "measurement",
-        "measurement_delay",
-    ),
+    *("force", "reaction", "active_region", "coulomb", "friction", "viscous"),
+    *("voltage", "delay", "current", "torque"),
+    *("tension", "energy_slope", "belt_travel", "lever_arm", "rest_angle_offset"),
+    *("measurement", "measurement_delay"),
     *("next_state", "initial_spread"),
 )
 
@@ -117,13 +111,14 @@ class Effect:
 
     hook                returns                                                      arguments
     force               force added to the coordinate, N or Nm                       q, v, t, z, u, m, net, friction
+    reaction            force of an added coordinate on that at the site, N or Nm    q, v, m
     active_region       where the force may differ from zero (default: everywhere)   q, v, t
     coulomb             change of the Coulomb friction force, N or Nm (sum >= 0)     q, v, t, z, u, level, drive
     friction            dry friction force that replaces Coulomb friction, N or Nm   q, v, t, z, level
     viscous             viscous coefficient of the coordinate, Ns/m or Nms           b, direction (+1 or -1)
     voltage             voltage that reaches the drive, V                            V
     delay               delay of the drive's voltage, s
-    current             current of the drive, A                                      i, z, V, q, v, N
+    current             current of the drive, A                                      i, z, V, q, v, N, R
     torque              current that makes torque without the effect, A              i, q
     tension             tension of a belt, N                                         s, rate, k
     energy_slope        derivative of the belt's energy by its stiffness, m^2        s, k
@@ -133,20 +128,23 @@ class Effect:
     rest_angle_offset   angle by which a pulley at rest lags a round one, rad        q, per_radius
     measurement         measured value of a sensor, in its unit                      r, across
     measurement_delay   delay of a sensor, s
-    next_state          state of the effect after the time dt                        z, dq, dt, v, dv, level, i, V, q, N
-    initial_spread      standard deviation of the state when a recording begins,     level, N
+    next_state          state of the effect after the time dt                        z, dq, dt, v, dv, level, i, V, q,
+                                                                                     N, R, power, stall_power
+    initial_spread      standard deviation of the state when a recording begins,     level, N, i
                         after motion that was not recorded (default: it is zero)
 
     - Coordinate: q, v: position and speed, m or rad, m/s or rad/s; per_radius: 1/radius of a pulley, 1/m; b: viscous
       coefficient without the effect, Ns/m or Nms; direction: sign of the motion; level: Coulomb friction force with the
       effects on it, N or Nm; drive: force of its drives, N or Nm. For a force on a coordinate that `structure` adds, if
       it has the argument net: net, friction: net force and friction (dry and viscous) on the coordinate at the site, N
-      or Nm; m: mass of the added coordinate, kg or kg m^2.
+      or Nm; m: mass of the added coordinate, kg or kg m^2. For `reaction`, q, v, m are those of the added coordinate.
     - Effect: z: its state, 0 when a simulation starts; u: the variable that `against` names; t: time since the machine
       was switched on, s; dt: length of a step, s; dq: distance that the coordinate moves in dt, m or rad;
       dv: change of its speed in dt, m/s or rad/s, 0 where it is not known.
     - Drive: V: voltage, V; i: current by Ohm's law, A (for `torque`, with the effects on it); q, v: position and speed
-      of its coordinate; N: its gear ratio. Belt: s, rate, k: extension, m, its rate, m/s, stiffness, N/m. Sensor: r:
+      of its coordinate; N, R: its gear ratio and resistance, ohm; power: sum of V i by Ohm's law over the drives on
+      which the effect acts, W; stall_power: this sum if they stood still, W. For `initial_spread`, i is the current at
+      standstill and the rated voltage. Belt: s, rate, k: extension, m, its rate, m/s, stiffness, N/m. Sensor: r:
       ideal reading, m or rad; across: position of the other linear coordinate, m.
 
     Attributes:
@@ -167,7 +165,8 @@ class Effect:
         shared: Whether a search also tries an effect of the kind "drive" on all drives at once.
         refitted: Whether other parameter values of the machine have the same influence; a search then omits the effect.
         against: Variable `u` of a tabulated effect: "position of y", "velocity of y", "path of y" or "time".
-        coordinate: Name of the coordinate that `structure` adds, on which `force` acts; empty if none.
+        coordinate: Name of the coordinate that `structure` adds, on which `force` acts, with "{site}" for that of the
+            component; empty if none.
         requires: Name of the effect that must be in the model at the same site before a search adds this one; or empty.
         impacts: Whether parts collide, so that small changes of a parameter change the motion irregularly.
         range_ends: Names of the parameters that are the lowest and the highest measurement of a sensor, if the effect
@@ -185,6 +184,7 @@ class Effect:
     formula: str
     source: str
     force: Hook | None = None
+    reaction: Hook | None = None
     active_region: Hook | None = None
     coulomb: Hook | None = None
     friction: Hook | None = None
@@ -304,6 +304,11 @@ class AppliedEffect:
     def label(self) -> str:
         """Name and component, e.g. "stribeck_friction@x"; full names of the effect's parameters begin with it."""
         return f"{self.definition.name}@{self.site}"
+
+    @property
+    def coordinate(self) -> str:
+        """Name of the coordinate that the effect adds to its machine; empty if none."""
+        return self.definition.coordinate.format(site=self.site)
 
     @property
     def measuring_range(self) -> tuple[Any, Any] | None:

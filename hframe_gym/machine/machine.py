@@ -232,7 +232,7 @@ class Machine:
     @cached_property
     def spring_loaded(self) -> tuple[str, ...]:
         """Names of the coordinates that effects add, such as bridge yaw; a spring centers each of them at zero."""
-        return tuple(e.definition.coordinate for e in self.effects if e.definition.coordinate)
+        return tuple(e.coordinate for e in self.effects if e.coordinate)
 
     def other_axis(self, coordinate: str) -> str | None:
         """Return the one linear coordinate that remains if a coordinate is left out, such as y for x, or None."""

@@ -378,16 +378,16 @@ class MachineReader:
             sites = definition.possible_sites(machine)
         if entry.site not in sites:
             raise self._error(field, f"site {entry.site!r} is none of {', '.join(sites) or 'this machine'}")
-        needed = (definition.coordinate, definition.against.partition(" of ")[2])
+        try:
+            applied = definition.at(entry.site, **{key: q.value for key, q in entry.parameters.items()})
+        except ValueError as error:
+            raise self._error(field, str(error)) from None
+        needed = (applied.coordinate, definition.against.partition(" of ")[2])
         absent = next((name for name in needed if name and name not in machine.coordinate_names), None)
         if absent is not None:
             raise self._error(
                 field, f"the effect needs a coordinate that is called {absent!r}; the file has none"
             )
-        try:
-            applied = definition.at(entry.site, **{key: q.value for key, q in entry.parameters.items()})
-        except ValueError as error:
-            raise self._error(field, str(error)) from None
         if any(applied.label == other.label for other in machine.effects):
             raise self._error(field, f"declared twice at {entry.site}; delete one of the declarations")
         for key, quantity in entry.parameters.items():

@@ -13,7 +13,7 @@ import numpy as np
 
 from hframe_gym.effects import EFFECTS
 from hframe_gym.machine import AppliedEffect
-from tests.reference_simulator import Frame, Rig, Yaw, simulate
+from tests.reference_simulator import Frame, Payload, Rig, Yaw, simulate
 from tests.reference_simulator.sensors import Sensors
 
 START = (0.08, -0.05)  # position of the tool at the start of a run, m
@@ -65,6 +65,17 @@ def _x(value: float) -> tuple[float, ...]:
 
 def _turned(value: float) -> tuple[float, ...]:
     return (0.0, 0.0, value, 0.0)
+
+
+def _with_payload(hertz: float, zeta: float, ratio: float) -> dict[str, Any]:
+    """Return the fields of a rig whose declared mass of the cart includes a swinging payload."""
+    x, y, *motors = Rig().mass
+    carriage, w = y / (1.0 + ratio), 2.0 * np.pi * hertz
+    mass = ratio * carriage
+    return {
+        "mass": (x, carriage, *motors),
+        "payload": Payload(mass, mass * w * w, 2.0 * zeta * w * mass),
+    }
 
 
 _CASES = (
@@ -155,6 +166,18 @@ _CASES = (
         {"a": 0.12, "n": 23.6, "p": 0.0},
         {"current_ripple": (0.12, 0.0), "current_ripple_order": (23.6, 12.0)},
     ),
+    Case(
+        "winding_heat",
+        "motor1",
+        {"a": 0.01, "tau": 0.1},
+        {"heating_ohm": (0.01, 0.0), "heating_s": (0.1, 2.0)},
+    ),
+    Case(
+        "supply_sag",
+        "drives",
+        {"g": 0.2 / 12.0**2, "tau": 6e-3},
+        {"supply_V": 12.0, "supply_ohm": 0.2, "supply_s": 6e-3},
+    ),
     Case("electrical_lag", "motor2", {"tau": 1.5e-3}, {"electrical_lag_s": (0.0, 1.5e-3)}),
     Case("input_delay", "drives", {"d": 2.3e-3}, {"input_delay_s": (2.3e-3, 2.3e-3)}),
     Case("belt_play", "belts", {"d": 0.15e-3}, {"belt_play_m": 0.15e-3}),
@@ -173,6 +196,7 @@ _CASES = (
         {"f0": 19.0, "zeta": 0.05, "r": 0.05, "s": 0.8},
         {"frame": Frame(hertz=19.0, damping=0.05, mass_ratio=0.05, ground_friction=0.8)},
     ),
+    Case("payload_swing", "y", {"f0": 6.0, "zeta": 0.05, "r": 0.25}, _with_payload(6.0, 0.05, 0.25)),
     # The idlers of the simulator have half of the inertia and friction of each motor.
     Case(
         "idler_inertia",

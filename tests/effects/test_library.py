@@ -18,7 +18,7 @@ pytestmark = pytest.mark.unit
 EVERY_EFFECT = pytest.mark.parametrize("effect", EFFECTS.values(), ids=EFFECTS)
 WITH_AMPLITUDE = {name: case for name, case in CASES.items() if EFFECTS[name].amplitudes}
 QUANTITIES = {
-    *"qvtzubViskrm",
+    *"qvtzubViskrmNR",
     "net",
     "friction",
     "direction",
@@ -29,8 +29,10 @@ QUANTITIES = {
     "level",
     "drive",
     "per_radius",
+    "power",
+    "stall_power",
 }
-PLAIN_UNITS = {"1", "s", "V", "A", "m", "rad", "N", "1/m^2", "1/A^2", "kg m^2", "Nm/rad", "Nms", "Hz"}
+PLAIN_UNITS = {"1", "s", "V", "A", "m", "rad", "N", "1/m^2", "1/A^2", "1/W", "kg m^2", "Nm/rad", "Nms", "Hz"}
 
 
 @EVERY_EFFECT

@@ -184,14 +184,14 @@ def _outside() -> dict[str, tuple[tuple[str, ...], Build]]:
         "wear by run": (tuple(every_coordinate), partial(change_fields, friction_per_run=0.06)),
         "bent rail": (("smooth_friction[position of y]@x",), partial(x, friction_cross_position=6.0)),
         "y rubs when x moves": (("smooth_friction[velocity of x]@y",), partial(y, friction_cross_speed=4.0)),
-        "loose payload": ((), partial(change_fields, payload=Payload())),
+        "loose payload": (("payload_swing@y",), partial(change_fields, payload=Payload())),
         "soft frame": (("frame_resonance@x",), partial(change_fields, frame=Frame())),
         "gear backlash": ((), partial(change_fields, backlash_rad=(0.012, 0.0))),
         "cable chain": (
             ("presliding@x", "dahl_hysteresis@x", "bouc_wen_hysteresis@x"),
             partial(x, hysteresis_force=4.0, hysteresis_travel=0.008),
         ),
-        "hot motor": ((), partial(motor, site="motor1", heating_loss=0.02)),
+        "hot motor": (("winding_heat@motor1",), partial(motor, site="motor1", heating_loss=0.02)),
         "commutation ripple": (
             (),
             partial(motor, site="motor2", current_ripple=0.12, current_ripple_order=35.4),

@@ -412,4 +412,14 @@ FAMILIES: dict[str, Callable[[np.random.Generator], OutsideEffect]] = {
     "gas spring": _gas_spring,
 }
 # The library has these by now; the effect eccentric_encoder is an error of one period per turn.
-IN_LIBRARY = frozenset({"torque saturation", "dwell friction", "eccentric encoder", "commutation ripple"})
+IN_LIBRARY = frozenset(
+    {
+        "torque saturation",
+        "supply sag",
+        "winding heat",
+        "dwell friction",
+        "payload swing",
+        "eccentric encoder",
+        "commutation ripple",
+    }
+)

@@ -163,8 +163,8 @@ class StepTrace:
                 net = force - trace.node("friction_force", speed, force, balance.coulomb[i])
                 net = net - self._by_direction(i, "viscous", balance) * speed
                 trace.store("state", row + i, net * equations.derived("coordinate", i, "per_mass"))
-            for j, voltage in enumerate(motor_voltages):
-                current = equations.current(j, point, voltage)
+            for j in range(len(motor_voltages)):
+                current = equations.current(j, point, motor_voltages)
                 trace.store("state", row + len(self.coordinates) + j, current)
 
     def _last_voltages(self) -> list[Expression]:

@@ -56,8 +56,8 @@ def instances_with_state(machine: Machine) -> list[EffectInstance]:
 def _moved_coordinate(effect: AppliedEffect, component: str, machine: Machine) -> str:
     """Return the name of the coordinate on which an effect acts at a component, empty for none."""
     definition = effect.definition
-    if definition.coordinate:
-        return definition.coordinate
+    if effect.coordinate:
+        return effect.coordinate
     if definition.site in ("motor", "drive", "drives"):
         return machine.drive(component).coordinate
     if definition.site == "machine":

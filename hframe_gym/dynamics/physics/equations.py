@@ -99,11 +99,15 @@ class Equations(BeltEquations, SignalEquations):
         return (motor_voltage - drive.emf_constant * speed) * (1.0 / drive.resistance)
 
     def _current_change(
-        self, j: int, point: MotionPoint, motor_voltage: Value, arguments: dict[int, dict[str, Value]]
+        self,
+        j: int,
+        point: MotionPoint,
+        motor_voltages: Sequence[Value],
+        arguments: dict[int, dict[str, Value]],
     ) -> Value:
         """Return the force that its law and effects on current and torque of drive j add, N or Nm."""
-        ohmic = named("ohmic_current", j, self.ohmic_current(j, point, motor_voltage))
-        current = self._changed_current(j, point, motor_voltage, ohmic, arguments)
+        ohmic = named("ohmic_current", j, self.ohmic_current(j, point, motor_voltages[j]))
+        current = self._changed_current(j, point, motor_voltages, ohmic, arguments)
         quantities = {"q": self.position(point, self.drive_coordinates[j])}
         for k, e in self.effects_at("torque", self.machine.drives[j].name):
             current = named("torque", k, self.evaluate(e, "torque", {"i": current, **quantities}))
@@ -113,7 +117,7 @@ class Equations(BeltEquations, SignalEquations):
         self,
         j: int,
         point: MotionPoint,
-        motor_voltage: Value,
+        motor_voltages: Sequence[Value],
         current: Value,
         arguments: dict[int, dict[str, Value]],
     ) -> Value:
@@ -121,7 +125,9 @@ class Equations(BeltEquations, SignalEquations):
         for k, e in self.effects_at("current", self.machine.drives[j].name):
             hooks = (e.definition.next_state, e.definition.current)
             of_state, of_current = (argument_names(hook) if hook else () for hook in hooks)
-            given = {"i": current, "V": motor_voltage}
+            given = {"i": current, "V": motor_voltages[j]}
+            if "power" in of_state:
+                given |= self._drawn_power(e, point, motor_voltages)
             # `effect_state` and `next_state` know the speed.
             arguments[k] = self._drive_quantities(j, point, given, {*of_state} - {"v"})
             quantities = self._drive_quantities(j, point, given, of_current)
@@ -132,30 +138,44 @@ class Equations(BeltEquations, SignalEquations):
     def _drive_quantities(
         self, j: int, point: MotionPoint, given: Mapping[str, Value], names: Collection[str]
     ) -> dict[str, Value]:
-        """Return what has one of the names: given quantities, position and speed at drive j, its gear ratio."""
+        """Return what has one of the names: given quantities, position and speed at drive j, its constants."""
         i = self.drive_coordinates[j]
         quantities: dict[str, Callable[[], Value]] = {
             "q": lambda: self.position(point, i),
             "v": lambda: self.speed(point, i),
             "N": lambda: self.drives[j].gear_ratio,
+            "R": lambda: self.drives[j].resistance,
         }
         taken = {name: value for name, value in given.items() if name in names}
         return taken | {name: value() for name, value in quantities.items() if name in names}
 
-    def current(self, j: int, point: MotionPoint, motor_voltage: Value) -> Value:
+    def _drawn_power(
+        self, effect: AppliedEffect, point: MotionPoint, motor_voltages: Sequence[Value]
+    ) -> dict[str, Value]:
+        """Return the power that the drives of an effect draw together by Ohm's law, and that at standstill, W."""
+        drives = effect.components(self.machine)
+        power, stall_power = 0.0, 0.0
+        for j, (drive, voltage) in enumerate(zip(self.machine.drives, motor_voltages, strict=True)):
+            if drive.name in drives:
+                power = power + voltage * self.ohmic_current(j, point, voltage)
+                stall_power = stall_power + voltage * voltage / self.drives[j].resistance
+        return {"power": power, "stall_power": stall_power}
+
+    def current(self, j: int, point: MotionPoint, motor_voltages: Sequence[Value]) -> Value:
         """Return the current of a drive with its law and the effects on it, such as a limit or an inductance's lag.
 
         Args:
             j: Index of the drive in the machine, from 0.
             point: Belt travel (position, or radius * angle of a pulley), m, and its rate, m/s, of every coordinate, and
                 the states of the effects.
-            motor_voltage: Voltage at the motor, V: float, array of any shape or symbolic expression.
+            motor_voltages: Voltage at each motor, V: floats, arrays of one shape or symbolic expressions.
 
         Returns:
             Current, A (for a drive of torques or with a law, torque of the motor shaft, Nm): float, array of that shape
             or symbolic expression.
         """
-        return self._changed_current(j, point, motor_voltage, self.ohmic_current(j, point, motor_voltage), {})
+        ohmic = self.ohmic_current(j, point, motor_voltages[j])
+        return self._changed_current(j, point, motor_voltages, ohmic, {})
 
     # -- forces ----------------------------------------------------------------------------------------------------
 
@@ -174,7 +194,7 @@ class Equations(BeltEquations, SignalEquations):
         totals, levels = [], []
         for i, force in enumerate(forces):
             changes = [
-                self._current_change(j, point, motor_voltages[j], arguments)
+                self._current_change(j, point, motor_voltages, arguments)
                 for j, drive in enumerate(self.machine.drives)
                 if self.drive_coordinates[j] == i
                 and any(any(self.effects_at(hook, drive.name)) for hook in ("current", "torque"))
@@ -259,7 +279,17 @@ class Equations(BeltEquations, SignalEquations):
     def _with_reactions(
         self, forces: list[Value], levels: Sequence[Value], point: MotionPoint
     ) -> list[Value]:
-        """Add the forces of the effects that depend on the net force on the coordinate at their site."""
+        """Add the forces between coordinates that effects add and those at their sites.
+
+        The first act on the coordinates at the sites, the second depend on the net force there.
+        """
+        forces = list(forces)
+        for k, instance in enumerate(self.instances):
+            if instance.effect.definition.reaction:
+                site, i = self.machine.coordinate_names.index(instance.component), instance.coordinate
+                quantities = {**self._quantities(k, i, point), "m": self._inertia(i)}
+                reaction = self.evaluate(instance.effect, "reaction", quantities)
+                forces[site] = forces[site] + reaction * self.per_radius(site)
         result = list(forces)
         for k, instance in enumerate(self.instances):
             if _needs_net_force(instance.effect):
@@ -269,7 +299,7 @@ class Equations(BeltEquations, SignalEquations):
                 friction = where(absolute(v) > 0.0, copysign(level, v), static)
                 friction = friction + self.viscous(site, copysign(1.0, v)) * v
                 quantities = {
-                    "m": self.mass(i) * self.radius(i) * self.radius(i),
+                    "m": self._inertia(i),
                     "net": (forces[site] - friction) * self.radius(site),
                     "friction": friction * self.radius(site),
                 }
@@ -278,6 +308,10 @@ class Equations(BeltEquations, SignalEquations):
                 )
                 result[i] = result[i] + force * self.per_radius(i)
         return result
+
+    def _inertia(self, i: int) -> Value:
+        """Return the mass or inertia of coordinate i in its own unit, kg or kg m^2."""
+        return self.mass(i) * self.radius(i) * self.radius(i)
 
     def balance(self, point: MotionPoint, voltages: Sequence[Value]) -> ForceBalance:
         """Return the sum of belt, drive and effect forces on each coordinate, and the Coulomb friction force.

@@ -100,7 +100,7 @@ def linearize(machine: Machine, position: ArrayLike | None = None) -> StateSpace
     B = np.vstack([np.zeros((count, drives)), derivatives[:, 2 * count :]])
     positions, velocities = (q + steps[:, :count]).T, steps[:, count : 2 * count].T
     motor_voltages = equations.motor_voltages(voltages)
-    currents = [equations.current(j, point, voltage) for j, voltage in enumerate(motor_voltages)]
+    currents = [equations.current(j, point, motor_voltages) for j in range(drives)]
     readings = equations.sensor_readings(list(positions), list(velocities), per_step, currents)
     outputs = np.array(readings).imag / _STEP
     return StateSpace(A, B, outputs[:, : 2 * count], outputs[:, 2 * count :])

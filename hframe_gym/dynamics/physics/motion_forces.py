@@ -186,7 +186,7 @@ def law_torques(
     point = equations.point(positions, velocities, time_s, states)
     for j, drive in enumerate(machine.drives):
         if drive.law:
-            torques[:, j] = equations.current(j, point, voltages[j])
+            torques[:, j] = equations.current(j, point, voltages)
     return torques
 
 

@@ -340,7 +340,8 @@ class TypicalScales:
 
     Attributes:
         by_coordinate: Sizes by coordinate and by key, in N, m/s and m or in Nm, rad/s and rad: "force", "speed",
-            "position", "viscous", "drag", "stiffness"; with a drive, also "voltage" (V), "A" (its current, A), "1/A^2".
+            "position", "viscous", "drag", "stiffness"; with a drive, also "voltage" (V), "A" (its current, A), "1/A^2",
+            "1/W".
         general: Sizes of the belts, by key: "m" (extension, m), "N" (force, N), "1/m^2" (1 / extension^2).
     """
 
@@ -383,7 +384,7 @@ def scales_of_motion(
             - "viscous": force / speed. "drag": force / speed^2. "stiffness": force / position.
             - With a drive, "voltage": largest magnitude of its voltage, V.
             - With a drive, "A": largest magnitude of its current, A, which is (voltage - back-EMF) / resistance.
-              "1/A^2": 1 / this size squared.
+              "1/A^2": 1 / this size squared; "1/W": 1 / (current * voltage).
         general: Empty without belts; with belts, sizes by key:
 
             - "m": 99th percentile of the magnitude of the belts' extensions, m. "1/m^2": 1 / this size squared.
@@ -410,6 +411,7 @@ def scales_of_motion(
         for key, values in (("A", current), ("voltage", voltage)):
             sizes[key] = max(float(np.abs(values).max()), sizes.get(key, _NO_MOTION))
         sizes["1/A^2"] = 1.0 / sizes["A"] ** 2
+        sizes["1/W"] = 1.0 / (sizes["A"] * sizes["voltage"])
     general: dict[str, float] = {}
     if machine.belts:
         extension = positions @ machine.belt_matrix.T  # (n, belts)

@@ -152,8 +152,9 @@ def effect_state_spreads(machine: Machine) -> Array:
         instance = equations.instances[k]
         effect, i = instance.effect, instance.coordinate
         quantities = {"level": machine.coordinates[i].coulomb if i >= 0 else 0.0}
-        if effect in machine.drive_laws:
-            quantities["N"] = machine.drive(instance.component).gear_ratio
+        if effect.definition.site in ("drive", "drives"):
+            drive = machine.drive(instance.component)
+            quantities |= {"N": drive.gear_ratio, "i": drive.rated_voltage / drive.resistance}
         known = effect.definition.initial_spread is None
         spreads.append(0.0 if known else float(equations.evaluate(effect, "initial_spread", quantities)))
     return np.array(spreads)

@@ -1,0 +1,73 @@
+"""A load that hangs from an axis of the tool or is mounted flexibly: an oscillator on the carriage, without a sensor.
+
+The coordinate `payload_SITE` is the deflection d of the load from its place on the carriage, in m along a linear axis
+(an angle at a radius of 1 m), in rad on a rotary one. For a pendulum of length l, w^2 = g / l. With the load, the
+carriage of the declared mass becomes one of this mass divided by 1 + r, which carries r times its own mass.
+"""
+
+import dataclasses
+import math
+
+from ..machine import AppliedEffect, Coordinate, Effect, EffectParameter, Machine
+
+
+def reaction(q, v, m, f0, zeta, r):  # type: ignore[no-untyped-def]
+    """Return the force of the load on the carriage, r m (w^2 d + 2 zeta w d'), N or Nm, with w = 2 pi f0.
+
+    q, v: deflection d of the load and its rate; m: mass of the carriage; f0: natural frequency with the carriage held,
+    Hz; zeta: damping ratio; r: mass of the load / mass of the carriage.
+    """
+    w = 2.0 * math.pi * f0
+    return r * m * w * (w * q + 2.0 * zeta * v)
+
+
+def force(q, v, m, net, f0, zeta):  # type: ignore[no-untyped-def]
+    """Return the force m d'' = -m (w^2 d + 2 zeta w d') - m x'', N or Nm, with net = m x'' on the carriage."""
+    return -reaction(q, v, m, f0, zeta, 1.0) - net
+
+
+def fits_site(machine: Machine, site: str) -> bool:
+    """Return whether the effect can act along a coordinate: an axis of the tool."""
+    return site in machine.tool_axes
+
+
+def structure(machine: Machine, effect: AppliedEffect) -> Machine:
+    """Add the coordinate of the deflection, without friction, and take the mass of the load from the carriage.
+
+    The mass of the coordinate is tied to that of the carriage.
+    """
+    name, ratio = effect.coordinate, effect.parameters["r"]
+    carriage = machine.coordinate(effect.site)
+    carriage = dataclasses.replace(carriage, mass=carriage.mass / (1.0 + ratio))
+    load = Coordinate(name, carriage.mass, kind="rotary", radius=1.0)
+    ties = {f"{name}.mass": (f"{carriage.name}.mass", 1.0)}
+    ties |= {f"{name}.{friction}": (f"{effect.label}.zeta", 0.0) for friction in ("viscous", "coulomb")}
+    kept = (carriage if c.name == carriage.name else c for c in machine.coordinates)
+    return dataclasses.replace(machine, coordinates=(*kept, load), ties={**machine.ties, **ties})
+
+
+EFFECT = Effect(
+    name="payload_swing",
+    family="payload_swing",
+    site="coordinate",
+    formula="d'' + 2 zeta w d' + w^2 d = -x'', w = 2 pi f0; f = r m (w^2 d + 2 zeta w d')",
+    source="linear pendulum or oscillator on a moving base; Den Hartog 1956, Mechanical Vibrations, section 3.2",
+    force=force,
+    reaction=reaction,
+    coordinate="payload_{site}",
+    structure=structure,
+    fits_site=fits_site,
+    equivalent=("an elastic link to a part of the load",),
+    parameters=(
+        EffectParameter(
+            "f0",
+            "Hz",
+            0.05,
+            500.0,
+            scale=3.0,
+            grid=(0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0, 11.0, 16.0, 22.0),
+        ),
+        EffectParameter("zeta", "1", 0.0, 1.0, scale=0.05, grid=(0.03,)),
+        EffectParameter("r", "1", 1e-3, 100.0, scale=0.1, grid=(0.15,)),
+    ),
+)
