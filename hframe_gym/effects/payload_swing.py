@@ -26,6 +26,16 @@ def force(q, v, m, net, f0, zeta):  # type: ignore[no-untyped-def]
     return -reaction(q, v, m, f0, zeta, 1.0) - net
 
 
+def initial_spread(level, m, f0, r):  # type: ignore[no-untyped-def]
+    """Return the standard deviations of the deflection and of its rate, m and m/s or rad and rad/s, as a run begins.
+
+    The load may still swing, but so little that dry friction, level, N or Nm, holds the carriage of mass m.
+    """
+    w = 2.0 * math.pi * f0
+    deflection = level / (r * m * w * w)
+    return deflection, w * deflection
+
+
 def fits_site(machine: Machine, site: str) -> bool:
     """Return whether the effect can act along a coordinate: an axis of the tool."""
     return site in machine.tool_axes
@@ -51,13 +61,13 @@ EFFECT = Effect(
     family="payload_swing",
     site="coordinate",
     formula="d'' + 2 zeta w d' + w^2 d = -x'', w = 2 pi f0; f = r m (w^2 d + 2 zeta w d')",
-    source="linear pendulum or oscillator on a moving base; Den Hartog 1956, Mechanical Vibrations, section 3.2",
+    source="vibration absorber; Den Hartog 1956, Mechanical Vibrations, 4th edition, section 3.2",
     force=force,
     reaction=reaction,
+    initial_spread=initial_spread,
     coordinate="payload_{site}",
     structure=structure,
     fits_site=fits_site,
-    equivalent=("an elastic link to a part of the load",),
     parameters=(
         EffectParameter(
             "f0",

@@ -130,8 +130,10 @@ class Effect:
     measurement_delay   delay of a sensor, s
     next_state          state of the effect after the time dt                        z, dq, dt, v, dv, level, i, V, q,
                                                                                      N, R, power, stall_power
-    initial_spread      standard deviation of the state when a recording begins,     level, N, i
-                        after motion that was not recorded (default: it is zero)
+    initial_spread      standard deviation of the state when a recording begins,     level, N, i, m
+                        after motion that was not recorded (default: it is zero);
+                        of an effect that adds a coordinate, those of position and
+                        speed of this coordinate
 
     - Coordinate: q, v: position and speed, m or rad, m/s or rad/s; per_radius: 1/radius of a pulley, 1/m; b: viscous
       coefficient without the effect, Ns/m or Nms; direction: sign of the motion; level: Coulomb friction force with the
@@ -144,8 +146,9 @@ class Effect:
     - Drive: V: voltage, V; i: current by Ohm's law, A (for `torque`, with the effects on it); q, v: position and speed
       of its coordinate; N, R: its gear ratio and resistance, ohm; power: sum of V i by Ohm's law over the drives on
       which the effect acts, W; stall_power: this sum if they stood still, W. For `initial_spread`, i is the current at
-      standstill and the rated voltage. Belt: s, rate, k: extension, m, its rate, m/s, stiffness, N/m. Sensor: r:
-      ideal reading, m or rad; across: position of the other linear coordinate, m.
+      standstill and the rated voltage, level that of the coordinate at the site without effects. Belt: s, rate, k:
+      extension, m, its rate, m/s, stiffness, N/m. Sensor: r: ideal reading, m or rad; across: position of the other
+      linear coordinate, m.
 
     Attributes:
         name: Unique name.

@@ -180,13 +180,15 @@ def test_delays_are_those_of_the_effects(hframe: Machine) -> None:
     assert Equations(machine).measurement_delays()[channel] == CASES["sensor_delay"].parameters["d"]
 
 
-@pytest.mark.parametrize("name", ["presliding", "bouc_wen_hysteresis", "dahl_hysteresis", "electrical_lag"])
+@pytest.mark.parametrize(
+    "name", ["presliding", "bouc_wen_hysteresis", "dahl_hysteresis", "electrical_lag", "supply_sag"]
+)
 def test_a_long_step_of_a_state_equals_many_short_ones(name: str) -> None:
     """The closed solution over a finite step, with and without a reversal; the rate is tested above."""
     effect = CASES[name].effect
     for state in np.linspace(-0.9, 0.9, 7):
         for distance in (-8e-3, -1e-3, 1e-3, 3e-3, 2e-2):
-            arguments = {"v": distance / 1e-2, "level": 1.5, "i": 4.0}
+            arguments = {"v": distance / 1e-2, "level": 1.5, "i": 4.0, "power": 40.0, "stall_power": 90.0}
             z = state * (1.5e-4 if name == "presliding" else 1.0)
             long = effect("next_state", z=z, dq=distance, dt=1e-2, **arguments)
             short = z

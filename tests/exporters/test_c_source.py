@@ -45,7 +45,7 @@ CONTAINED = (
         "voltage_offset",
         "gain_mismatch",
     ),
-    *("dead_band", "bridge_yaw", "frame_resonance", "idler_inertia"),
+    *("dead_band", "bridge_yaw", "frame_resonance", "idler_inertia", "payload_swing"),
 )
 
 

@@ -99,7 +99,7 @@ def outputs_of_library(library: ctypes.CDLL, machine: Machine, token: str, start
 @pytest.mark.parametrize(
     "name",
     [
-        *("hframe", "axis", "corexy", "hframe-order20", "stribeck_friction", "presliding", "electrical_lag"),
+        *("hframe", "axis", "corexy", "hframe-order20", "stribeck_friction", "presliding", "supply_sag"),
         *("belt_slack", "frame_resonance", "load_friction", "dead_band"),
     ],
 )

@@ -154,6 +154,14 @@ def test_a_hysteresis_remembers_motion_before_the_recording(axis: Machine, name:
     assert prediction_cost(machine, refined, SIMULATION) < 0.1 * prediction_cost(machine, data, SIMULATION)
 
 
+def test_a_winding_is_warm_from_motion_before_the_recording(axis: Machine) -> None:
+    machine = axis.with_effects(EFFECTS["winding_heat"].at("motor", a=0.02, tau=1.0))
+    run = moving_run(machine, np.array([*rest_state(machine), 6.0]))
+    simulated = simulate_recording(machine, run)
+    assert simulated.initial.effect_states == {("winding_heat@motor", "motor"): pytest.approx(6.0, abs=0.3)}
+    assert np.abs(simulated.error).max() < 1e-5
+
+
 def test_nothing_to_refine_without_hysteresis(axis: Machine) -> None:
     data = prepare([moving_run(axis, rest_state(axis))], axis)
     assert refine_dataset(data, axis) is data

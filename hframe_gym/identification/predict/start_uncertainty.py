@@ -74,7 +74,7 @@ def start_displacements(machine: Machine, initial: Sequence[InitialState]) -> li
     - The run begins in motion, and its first measurements show the velocity inaccurately: one per motion that stretches
       no belt, and one per pulley with an encoder, because the belts vibrate.
     - An effect such as hysteresis remembers motion before the recording: one per state of an effect that defines an
-      `initial_spread`.
+      `initial_spread`, and two per coordinate that such an effect adds, because it may swing.
 
     Args:
         machine: Machine whose simulation starts from these states.
@@ -86,6 +86,7 @@ def start_displacements(machine: Machine, initial: Sequence[InitialState]) -> li
     """
     count, spreads = len(machine.coordinates), effect_state_spreads(machine)
     of_effects = np.pad(np.diag(spreads)[spreads > 0.0], ((0, 0), (2 * count, 0)))
+    swinging = np.pad(_added_displacements(machine), ((0, 0), (0, len(spreads))))
     # The typical stretch depends on the machine, and on whether the run begins in motion.
     angles = {
         moving: stretch_angles(machine, moving=moving)
@@ -99,6 +100,7 @@ def start_displacements(machine: Machine, initial: Sequence[InitialState]) -> li
             np.pad(positions, ((0, 0), (0, count + len(spreads)))),
             np.pad(velocities, ((0, 0), (count, len(spreads)))),
             of_effects,
+            swinging,
         )
         displacements.append(np.vstack(blocks))
     return displacements
@@ -134,6 +136,24 @@ def _velocity_displacements(machine: Machine, initial: InitialState) -> Array:
     vibrations = [machine.coefficients({name: 1.0}) * speed for name, speed in speeds.items()]
     # `rigid` lacks the coordinates of structural effects, which are the last ones.
     return np.vstack([np.pad(rigid, ((0, 0), (0, count - rigid.shape[1]))), *vibrations])
+
+
+def _added_displacements(machine: Machine) -> Array:
+    """Return the uncertain positions and speeds of coordinates that effects add, each of the size of its error.
+
+    The shape is (k, 2 * coordinates). Effects without `initial_spread` add coordinates that rest at zero.
+    """
+    equations, rows = Equations(machine), []
+    for effect in machine.effects:
+        if effect.coordinate and effect.definition.initial_spread:
+            quantities = {
+                "m": machine.coordinate(effect.coordinate).mass,
+                "level": machine.coordinate(effect.site).coulomb,
+            }
+            position, speed = equations.evaluate(effect, "initial_spread", quantities)
+            there = machine.coefficients({effect.coordinate: 1.0})
+            rows += [np.append(position * there, 0.0 * there), np.append(0.0 * there, speed * there)]
+    return np.array(rows).reshape(len(rows), 2 * len(machine.coordinates))
 
 
 def effect_state_spreads(machine: Machine) -> Array:
