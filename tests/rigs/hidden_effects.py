@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.reference_simulator import COORDINATES, Frame, Rig, Yaw
+from tests.reference_simulator import COORDINATES, Frame, Payload, Rig, Yaw
 from tests.reference_simulator.sensors import Sensors
 from tests.rigs.excitation import MAX_VOLTAGE_V
 
@@ -178,6 +178,22 @@ def loosen_belts(rig: Rig, sensors: Sensors, *, fraction: float) -> tuple[Rig, S
     return dataclasses.replace(rig, belt_pretension_N=fraction * stall_tension(rig)), sensors
 
 
+def hang_payload(rig: Rig, sensors: Sensors, *, fraction: float, hertz: float) -> tuple[Rig, Sensors]:
+    """Hang a payload from the cart that swings along y, with a damping ratio of 3 %.
+
+    Args:
+        rig: Stage to change.
+        sensors: Its sensors.
+        fraction: Mass of the payload as a fraction of the cart's.
+        hertz: Natural frequency with the cart held, Hz.
+
+    Returns:
+        The changed rig and the sensors.
+    """
+    mass, w = fraction * rig.mass[1], 2.0 * np.pi * hertz
+    return dataclasses.replace(rig, payload=Payload(mass, mass * w * w, 2.0 * 0.03 * w * mass)), sensors
+
+
 def _per_kind(site: str, linear: float, rotary: float) -> float:
     """Return the value for a linear coordinate (x, y) or a rotary one (phi1, phi2)."""
     return rotary if site.startswith("phi") else linear
@@ -251,6 +267,12 @@ def effect(name: str, site: str, size: float) -> HiddenEffect:
         case "torque_saturation":
             amps = 10.0 / np.sqrt(size)
             return _hidden(name, site, partial(motor, torque_saturation_A=amps), {"s": amps**-2})
+        case "winding_heat":  # the resistance itself is not identifiable, so neither is its rise per A^2
+            build = partial(motor, heating_ohm=0.05 * size, heating_s=2.0)
+            return _hidden(name, site, build, {"tau": 2.0})
+        case "supply_sag":  # the same holds for the sag per power
+            build = partial(change_fields, supply_ohm=0.4 * size, supply_s=8e-3)
+            return _hidden(name, site, build, {"tau": 8e-3})
         case "electrical_lag":
             tau = size * 1.5e-3
             return _hidden(name, site, partial(motor, electrical_lag_s=tau), {"tau": tau})
@@ -327,6 +349,9 @@ def effect(name: str, site: str, size: float) -> HiddenEffect:
                 {"k": yaw.stiffness, "w": yaw.half_width_m},
                 forces=("k",),
             )
+        case "payload_swing":
+            build = partial(hang_payload, fraction=0.3 * size, hertz=1.6)
+            return _hidden(name, site, build, {"f0": 1.6, "r": 0.3 * size})
         case "idler_inertia":
             return _hidden(name, site, partial(change_fields, idlers=True), {})
         case "sensor_skew":
