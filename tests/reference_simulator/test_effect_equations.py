@@ -170,6 +170,16 @@ MOTOR = {
         lambda t, a, w, z: (6.0 - EMF * w) / OHM * (1.0 - 0.02 * z),
         lambda w, z, amps: (((6.0 - EMF * w) / OHM) ** 2 - z) / 0.1,
     ),
+    "warm winding": (
+        {"heating_ohm": (0.02, 0.0), "heating_s": (0.1, 1.0)},
+        lambda t, a, w, z: (6.0 - EMF * w) / (OHM * (1.0 + 0.02 * z)),
+        lambda w, z, amps: (amps**2 - z) / 0.1,
+    ),
+    "supply sag": (
+        {"supply_V": 12.0, "supply_ohm": 0.4, "supply_s": 0.01},
+        lambda t, a, w, z: (6.0 * (1.0 - z) - EMF * w) / OHM,
+        lambda w, z, amps: (0.4 * (6.0 / 12.0 * amps) / 12.0 - z) / 0.01,
+    ),
     "ripple": (
         {"current_ripple": (0.1, 0.0), "current_ripple_order": (7.0, 1.0)},
         lambda t, a, w, z: (6.0 - EMF * w) / OHM * (1.0 + 0.1 * math.sin(7.0 * a)),
