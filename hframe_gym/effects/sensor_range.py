@@ -30,7 +30,7 @@ def starting_values(measured: Array, noise: float) -> list[dict[str, float]]:
         noise: Standard deviation of their noise, m or rad.
 
     Returns:
-        The lower end, the upper end, and both, m or rad; nothing if the sensor saturates at neither.
+        The end at which the sensor saturates, m or rad, or each of two and then both; nothing if it saturates at neither.
     """
     if len(measured) == 0:
         return []
@@ -46,7 +46,7 @@ def starting_values(measured: Array, noise: float) -> list[dict[str, float]]:
     choices = [(low, None), (None, high), (low, high)]
     return [
         {"low": -far if a is None else a, "high": far if b is None else b}
-        for a, b in choices
+        for a, b in dict.fromkeys(choices)
         if not (a is None and b is None)
     ]
 

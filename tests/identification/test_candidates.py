@@ -101,7 +101,7 @@ def test_a_range_starts_from_ends_at_which_many_measurements_lie(
     assert starts is not None
     measured = np.clip(np.linspace(-1.0, 1.0, 5001), low, high)
     found = [(values["low"], values["high"]) for values in starts(measured, 1e-5)]
-    assert list(dict.fromkeys((abs(a) < 1.0, abs(b) < 1.0) for a, b in found)) == expected
+    assert [(abs(a) < 1.0, abs(b) < 1.0) for a, b in found] == expected
     for a, b in found:
         assert a in (pytest.approx(low), pytest.approx(-10.0 * abs(measured).max()))
         assert b in (pytest.approx(high), pytest.approx(10.0 * abs(measured).max()))
