@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import json
-from typing import Any
 
+from pydantic.fields import FieldInfo
+
+from hframe_gym.machine import summary
 from hframe_gym.recordings import (
     TABLES,
     Table,
     field_descriptions,
     field_units,
+    fields,
     machine_json_schema,
-    table_summary,
 )
 
 # Titles of the sections; the classes are private to the reader of the file.
@@ -41,20 +43,19 @@ def _section(table: type[Table]) -> str:
     """Return the section of a table: what it describes, then its fields, without `comment`."""
     descriptions = field_descriptions(table)
     rows = ["| field | value | meaning |", "| --- | --- | --- |"]
-    for name, info in table.model_fields.items():
-        if name != "comment":
-            field = info.alias or name
+    for field, info in fields(table).items():
+        if field != "comment":
             required = "" if info.is_required() else ", optional"
-            cells = (f"`{field}`", _value(name, info.annotation) + required, descriptions[field])
+            cells = (f"`{field}`", _value(info) + required, descriptions[field])
             rows.append(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |")
-    return f"### {TITLES[table.__name__]}\n\n{table_summary(table)}\n\n" + "\n".join(rows)
+    return f"### {TITLES[table.__name__]}\n\n{summary(table)}\n\n" + "\n".join(rows)
 
 
-def _value(name: str, annotation: Any) -> str:
+def _value(info: FieldInfo) -> str:
     """Describe what a field contains: a quantity with its units, a list, an object or a plain value."""
-    text = str(annotation)
-    if "QuantityEntry" in text and "dict" not in text:
-        return "quantity, " + " or ".join(f"`{unit}`" for unit in field_units(name))
+    if units := field_units(info):
+        return "quantity, " + " or ".join(f"`{unit}`" for unit in units)
+    text = str(info.annotation)
     kinds = {
         "list[hframe_gym": "list of objects",
         "dict": "object",

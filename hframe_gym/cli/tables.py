@@ -365,8 +365,8 @@ def _belt_table(machine: Machine) -> Table:
 def _drive_table(machine: Machine) -> Table:
     """Format the drives; the parameters of laws have one column, because each kind has others."""
     others = any(d.kind != "voltage" for d in machine.drives)
-    titles = {"Kt": "Kt", "Ke": "Ke", "resistance": "R", "gear_ratio": "gear ratio"}
-    titles = {k: title for k, title in titles.items() if any(k in d.parameter_names for d in machine.drives)}
+    of_motors = [key for d in machine.drives for key in d.parameter_names if key not in d.law_parameters]
+    titles = {key: "R" if key == "resistance" else key.replace("_", " ") for key in of_motors}
     columns = [*(["kind"] if others else []), "channel", "moves", *titles.values()]
     columns += ["law"] if machine.drive_laws else []
     table = _titled("drives", "name", *columns, "rated")

@@ -112,7 +112,6 @@ def _next_position_integral(  # type: ignore[no-untyped-def]
 class _SetPointDrive(DriveKind):
     """What drives with an inner loop have in common: the torque is that of the motor shaft, without a constant Kt."""
 
-    parameters = ("gear_ratio",)
     fixed: ClassVar[Mapping[str, float]] = {"Kt": 1.0, "Ke": 0.0, "resistance": 1.0}
     largest = "torque_limit"
     unit_of_force = "speed_gain"

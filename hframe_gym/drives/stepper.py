@@ -32,7 +32,6 @@ class StepperDrive(DriveKind):
     """A stepper motor, whose command is the position of its coordinate to which the steps so far lead, m or rad."""
 
     command = "position"
-    parameters = ("gear_ratio",)
     fixed: ClassVar[Mapping[str, float]] = {"Kt": 1.0, "Ke": 0.0, "resistance": 1.0}
     defaults: ClassVar[Mapping[str, float]] = {"periods": 50.0}
     largest = "holding_torque"

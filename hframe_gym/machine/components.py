@@ -1,4 +1,8 @@
-"""Components of a machine: coordinates, belts, drives and sensors, with the units of their parameters."""
+"""Components of a machine: coordinates, belts, drives and sensors.
+
+Each attribute is declared once, here: its type, unit and bounds in the class, its meaning in the docstring. The fields
+of machine.json and the parameters of the machine follow (`declaration`).
+"""
 
 from __future__ import annotations
 
@@ -8,7 +12,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Any, ClassVar, Literal, cast, get_args
+from typing import Annotated, Any, ClassVar, Literal, cast, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,96 +21,60 @@ from typing_extensions import override
 from ..arrays import Array
 from ..errors import InputError
 from ..registry import Registry
+from .axis_unit import ARM
+from .declaration import (
+    FIXED_UNITS,
+    LARGEST,
+    UNITS,
+    Component,
+    CoordinateKind,
+    Number,
+    Numbers,
+    Text,
+    Variant,
+    declared_numbers,
+)
 from .effect import AppliedEffect, Effect
 
 Row = Mapping[str, float]
-CoordinateKind = Literal["linear", "rotary"]
 SensorQuantity = Literal["position", "speed", "acceleration", "current"]
-
-# Units of the quantities of a coordinate, by its kind. An effect states the unit of a parameter by one of these keys,
-# because it is N at a carriage and Nm at a pulley, for example. Two keys need an explanation: "absolute position" is a
-# place, such as that of a magnet, whereas "position" is a distance, such as a period, which a search scales by the
-# typical travel; "rad/position" is a phase per position.
-UNITS: dict[CoordinateKind, dict[str, str]] = {
-    "linear": {
-        "position": "m",
-        "absolute position": "m",
-        "speed": "m/s",
-        "mass": "kg",
-        "force": "N",
-        "viscous": "Ns/m",
-        "stiffness": "N/m",
-        "drag": "Ns^2/m^2",
-        "rad/position": "rad/m",
-        "acceleration": "m/s^2",
-        "s/position": "s/m",
-    },
-    "rotary": {
-        "position": "rad",
-        "absolute position": "rad",
-        "speed": "rad/s",
-        "mass": "kg m^2",
-        "force": "Nm",
-        "viscous": "Nms",
-        "stiffness": "Nm/rad",
-        "drag": "Nms^2",
-        "rad/position": "1",
-        "acceleration": "rad/s^2",
-        "s/position": "s/rad",
-    },
-}
-# Units of parameters that are the same for linear and rotary coordinates.
-FIXED_UNITS = {
-    "radius": "m",
-    "EA": "N",
-    "rest_length": "m",
-    "Kt": "Nm/A",
-    "Ke": "Vs/rad",
-    "resistance": "ohm",
-    "gear_ratio": "1",
-    "rated_voltage": "V",
-    "converter_bits": "1",
-    "voltage_range": "V",
-    "voltage": "V",
-    "current": "A",
-    "torque": "Nm",
-}
 
 
 @dataclass(frozen=True)
-class Coordinate:
-    """One degree of freedom of the machine.
+class Coordinate(Component):
+    """One coordinate (degree of freedom) of the machine.
 
     Attributes:
-        name: Name by which belts, drives, sensors and effects refer to the coordinate.
-        mass: Moving mass, kg, or moment of inertia, kg m^2.
-        viscous: Viscous friction coefficient, Ns/m or Nms.
-        coulomb: Coulomb friction force, N, or torque, Nm.
-        kind: "linear" (a carriage) or "rotary" (a pulley).
-        radius: Pitch radius of the pulley, m. It has no meaning for a linear coordinate. If no belt runs on a rotary
-            one, it does not influence the motion, and `ARM` is a choice as good as any.
-        range: Lowest and highest position, m or rad. None if the coordinate is not limited.
+        name: Name by which belts, drives, sensors and effects refer to the coordinate. The linear coordinates are the
+            axes of the tool in the environment, in the order of the file, whatever their names. Without linear ones,
+            the rotary coordinates are, one for each drive.
+        mass: Everything that moves with the coordinate: mass, kg, or moment of inertia, kg m^2. The rotor of a motor
+            behind a gear counts gear_ratio^2 times its inertia.
+        viscous: Viscous friction coefficient, Ns/m or Nms (per rad/s). Without the back-EMF of the motor.
+        coulomb: Coulomb friction, N or Nm.
+        kind: "linear" (a carriage, positions in m) or "rotary" (a pulley, angles in rad).
+        radius: Pitch radius of the pulley, m. A rotary coordinate on which a belt runs needs it, a linear one has
+            none. If no belt runs on it (a motor, a servo with an arm), leave it out: it has no influence on the
+            motion. Default in a file: 0.1 m.
+        range: Lowest and highest position [low, high], m or rad. Default: unlimited. The environment needs the ranges
+            of linear coordinates, which are its workspace; that of a rotary axis without a range is one turn to either
+            side of zero.
     """
 
-    PARAMETERS: ClassVar[tuple[str, ...]] = ("mass", "viscous", "coulomb", "radius")
+    name: Annotated[str, Text("name")]
+    mass: Annotated[float, Number("mass", role="parameter")]
+    viscous: Annotated[float, Number("viscous", lower=0.0, role="parameter")] = 0.0
+    coulomb: Annotated[float, Number("force", lower=0.0, role="parameter")] = 0.0
+    kind: Annotated[CoordinateKind, Text()] = "linear"
+    radius: Annotated[float, Number("m", role="parameter", plausible=1.0)] = 1.0
+    range: Annotated[tuple[float, float] | None, Number("position", plausible=10.0)] = None
 
-    name: str
-    mass: float
-    viscous: float = 0.0
-    coulomb: float = 0.0
-    kind: CoordinateKind = "linear"
-    radius: float = 1.0
-    range: tuple[float, float] | None = None
-
-    @property
-    def parameter_names(self) -> tuple[str, ...]:
-        """Names of the parameters that can be identified or randomized."""
-        return self.PARAMETERS
-
-    @property
-    def parameter_values(self) -> dict[str, float]:
-        """Values of the parameters that can be identified or randomized, SI, by name."""
-        return {name: getattr(self, name) for name in self.PARAMETERS}
+    @classmethod
+    @override
+    def variant(cls, coordinate: CoordinateKind, kind: str = "") -> Variant:
+        absent = {"radius": 1.0} if coordinate == "linear" else {}
+        defaults = {} if coordinate == "linear" else {"radius": ARM}
+        return Variant(f"a {coordinate} coordinate", UNITS[coordinate], absent, defaults)
 
     @property
     def travel_per_unit(self) -> float:
@@ -124,45 +92,36 @@ class Coordinate:
         Raises:
             KeyError: If the quantity is none of these.
         """
-        if quantity in FIXED_UNITS:
-            return FIXED_UNITS[quantity]
-        return UNITS[self.kind]["force" if quantity == "coulomb" else quantity]
+        units = FIXED_UNITS | UNITS[self.kind]
+        declared = declared_numbers(type(self)).get(quantity)
+        return units[quantity] if declared is None else units.get(declared.unit, declared.unit)
 
 
 @dataclass(frozen=True)
-class Belt:
-    """One elastic belt section.
+class Belt(Component):
+    """One belt section.
 
-    The belt travel p of a coordinate is its position (linear, m) or radius * angle (rotary, m). The extension of the
-    section is s = sum(extension[c] * p[c]), m, and its stiffness k = EA / (rest_length + sum(length[c] * p[c])), N/m
-    (eq. 38-44 of Sollmann et al. 2010).
+    The travel p of a coordinate is its position (linear), or its angle times its radius (rotary), in m. The section has
+    the extension s = sum(extension[c] * p[c]), m, the stiffness k = EA / (rest_length + sum(length[c] * p[c])), N/m,
+    and the force k s (eq. 38-44 of Sollmann et al. 2010).
 
     Attributes:
-        name: Name of the section.
-        EA: Axial stiffness, Young's modulus times cross section, N.
-        rest_length: Unstretched length at zero travel, m.
-        extension: Extension per belt travel, m/m, by coordinate name.
-        length: Change of the section's unstretched length per belt travel, m/m, by coordinate name: a carriage that
-            moves along the belt lengthens the section on one side of it. Empty for a section of constant stiffness.
+        name: Name of the belt section.
+        EA: Axial stiffness: Young's modulus times cross-section area, N. It is the force that would double the length.
+        rest_length: Length of the section with all coordinates at zero, m.
+        extension: Extension of the section per travel, m/m, by name of the coordinate. It is positive if a positive
+            motion of this coordinate alone stretches the section. A pulley usually has 1 or -1; its radius is not part
+            of it.
+        length: Change of the section's unstretched length per travel, m/m, by name of the coordinate: a carriage that
+            moves along the belt lengthens the section on one side of it. Usually the factors of the carriages in
+            `extension`. Empty (default): constant stiffness.
     """
 
-    PARAMETERS: ClassVar[tuple[str, ...]] = ("EA", "rest_length")
-
-    name: str
-    EA: float
-    rest_length: float
+    name: Annotated[str, Text("name")]
+    EA: Annotated[float, Number("N", role="parameter")]
+    rest_length: Annotated[float, Number("m", role="parameter", plausible=50.0)]
     extension: Row
     length: Row = field(default_factory=dict)
-
-    @property
-    def parameter_names(self) -> tuple[str, ...]:
-        """Names of the parameters that can be identified or randomized."""
-        return self.PARAMETERS
-
-    @property
-    def parameter_values(self) -> dict[str, float]:
-        """Values of the parameters that can be identified or randomized, SI, by name."""
-        return {name: getattr(self, name) for name in self.PARAMETERS}
 
 
 class DriveKind:
@@ -177,11 +136,11 @@ class DriveKind:
         command: Quantity of the command in simulations: "voltage", "current", "torque" (of the motor shaft), or the
             "position" or "speed" of the coordinate.
         fraction: Whether recordings have the command as a fraction of the supply voltage, from -1 to 1.
-        parameters: Parameters of a drive of this kind, without those of the law, that can be identified or randomized.
-        fixed: Values of the parameters that a drive of this kind does not have.
+        fixed: Values of the parameters of `Drive` that a drive of this kind does not have.
+        units: Units of parameters of `Drive` that have another one for this kind.
         law: Torque of the motor shaft, Nm, as the formula `current` of an effect on a drive, which may have a state
             (`Effect`). None: the motor's equation above.
-        defaults: Values of the law's parameters that a drive need not state; at its default, a parameter has no
+        defaults: Values of parameters that a file need not state. At its default, a parameter of the law has no
             influence, and it is not identified.
         largest: Parameter of the law that is the largest torque, Nm.
         unit_of_force: Parameter of the law in proportion to which all torques are. Motion alone does not determine it:
@@ -190,8 +149,8 @@ class DriveKind:
 
     command: ClassVar[str] = "voltage"
     fraction: ClassVar[bool] = False
-    parameters: ClassVar[tuple[str, ...]] = ("Kt", "Ke", "resistance", "gear_ratio")
     fixed: ClassVar[Mapping[str, float]] = {}
+    units: ClassVar[Mapping[str, str]] = {}
     law: ClassVar[Effect | None] = None
     defaults: ClassVar[Mapping[str, float]] = {}
     largest: ClassVar[str] = ""
@@ -223,20 +182,9 @@ class DriveKind:
         return math.inf
 
     @classmethod
-    def rated(cls) -> str:
-        """Return the field of machine.json that states the command of an action of 1, for example rated_voltage."""
-        return f"rated_{cls.command}"
-
-    @classmethod
     def unit(cls, coordinate: CoordinateKind) -> str:
         """Return the unit of the command of a drive that moves a coordinate of a kind."""
         return FIXED_UNITS.get(cls.command) or UNITS[coordinate][cls.command]
-
-    @classmethod
-    def units_of_law(cls, coordinate: CoordinateKind) -> dict[str, str]:
-        """Return the unit of each parameter of the law, for a drive that moves a coordinate of a kind."""
-        known = FIXED_UNITS | UNITS[coordinate]
-        return {p.name: known.get(p.unit, p.unit) for p in cls.law.parameters} if cls.law else {}
 
 
 DRIVE_KINDS: Registry[type[DriveKind]] = Registry("drive kind", package="hframe_gym.drives")
@@ -263,7 +211,6 @@ class CurrentDrive(DriveKind):
     """An amplifier that controls the current of the motor; its bandwidth and limit are effects of the drive."""
 
     command = "current"
-    parameters = ("Kt", "gear_ratio")
     fixed: ClassVar[Mapping[str, float]] = {"Ke": 0.0, "resistance": 1.0}
 
 
@@ -275,8 +222,9 @@ class TorqueDrive(DriveKind):
     """
 
     command = "torque"
-    parameters = ("Kt", "gear_ratio")
     fixed: ClassVar[Mapping[str, float]] = {"Ke": 0.0, "resistance": 1.0}
+    units: ClassVar[Mapping[str, str]] = {"Kt": "1"}
+    defaults: ClassVar[Mapping[str, float]] = {"Kt": 1.0}
 
 
 @dataclass(frozen=True)
@@ -290,8 +238,8 @@ class DriveLaw(AppliedEffect):
 
 
 @dataclass(frozen=True)
-class Drive:
-    """A DC motor with a gear that drives one coordinate.
+class Drive(Component):
+    """One drive: a DC motor with gear and amplifier, which moves one coordinate.
 
     With the voltage V, the resistance R and the speed w of the coordinate (rad/s or m/s), the torque (Nm) or force (N)
     on the coordinate is gear_ratio * Kt/R * (V - Ke * gear_ratio * w): eq. 17 of Sollmann et al. (2010) with the gear
@@ -299,68 +247,100 @@ class Drive:
 
     Attributes:
         name: Name of the drive.
-        channel: Column of the recordings that holds its command, for example v1_V.
-        coordinate: Name of the coordinate that it moves.
-        Kt: Torque constant, Nm/A.
-        Ke: Back-EMF constant, Vs/rad.
-        resistance: Resistance of the armature, ohm.
-        gear_ratio: Angle of the motor shaft per unit of the coordinate, rad/rad or rad/m.
-        rated_voltage: Rated voltage, V.
-        converter_bits: Resolution of the digital-to-analog converter; 0 for a continuous voltage.
-        voltage_range: Largest voltage of the converter in either direction, V. None for the rated voltage.
-        kind: Name in `DRIVE_KINDS`. `rated_voltage` and `voltage_range` are in the unit of its command: currents, A, or
-            torques, Nm, for the kinds "current" and "torque"; m or rad for "position"; m/s or rad/s for "speed".
-        supply: Column of the recordings with the measured supply voltage, V, of a drive of the kind "duty-cycle"; "" if
-            it is not measured. Drives may share it.
-        law_parameters: Values of the parameters of the kind's law by name, SI; those with a default may be left out.
+        channel: Column of its command in recordings, for example v1_V, i1_A, torque1_Nm or command_rad. A positive
+            command accelerates the coordinate in positive direction.
+        coordinate: Name of the coordinate that it drives.
+        Kt: Torque constant of the motor, Nm/A. For the kind "torque" the true torque per commanded torque, with the
+            unit "1"; 1 if it is left out.
+        Ke: Back-EMF constant of the motor, Vs/rad. Equal to Kt in these units, if the data sheet does not give it.
+        resistance: Resistance between the terminals, ohm.
+        gear_ratio: Angle of the motor shaft per unit of the coordinate: "1" (rad/rad) at a pulley, rad/m at a carriage.
+            There it is 1 / radius for a belt and 2 pi / lead for a screw, times the ratio of the gear.
+        voltage_range: Largest command of the converter in either direction, in its unit. Default: the rated one.
+        rated_voltage: Command that an action of 1 in the environment gives, in the unit of the command.
+        law_parameters: Values by name, SI, for kinds whose torque follows a law: gains and limits of the loop of the
+            kinds "position" and "speed", holding torque of a "stepper". Those with a default may be left out.
+        converter_bits: Bits of the digital-to-analog converter; 0 (default) for a continuous voltage.
+        kind: What its command is, and what it makes of it. Default: "voltage".
+        supply: Column of the measured supply voltage in recordings, V, for example vbus_V. Drives may share it. Without
+            it, a duty cycle is one of the rated voltage.
 
     Raises:
         InputError: If the kind is not registered, or a parameter of its law is missing or unknown.
     """
 
-    name: str
-    channel: str
+    kinds: ClassVar[Registry[Any] | None] = DRIVE_KINDS
+
+    name: Annotated[str, Text("name")]
+    channel: Annotated[str, Text("column")]
     coordinate: str
-    Kt: float
-    Ke: float
-    resistance: float
-    gear_ratio: float
-    rated_voltage: float
-    converter_bits: int = 0
-    voltage_range: float | None = None
-    kind: str = "voltage"
-    supply: str = ""
-    law_parameters: Mapping[str, float] = field(default_factory=dict)
+    Kt: Annotated[float, Number("Nm/A", role="parameter")]
+    Ke: Annotated[float, Number("Vs/rad", lower=0.0, role="parameter")]
+    resistance: Annotated[float, Number("ohm", role="parameter")]
+    gear_ratio: Annotated[float, Number("rad/position", role="parameter", older_unit="1")]
+    voltage_range: Annotated[float | None, Number("command", role="device")] = field(
+        default=None, kw_only=True
+    )
+    rated_voltage: Annotated[float, Number("command")]
+    law_parameters: Annotated[Mapping[str, float], Numbers()] = field(default_factory=dict, kw_only=True)
+    converter_bits: Annotated[int, Number("1", 0, 32, role="device", presence="written")] = 0
+    kind: Annotated[str, Text(presence="omitted")] = "voltage"
+    supply: Annotated[str, Text("column", presence="omitted")] = ""
 
     def __post_init__(self) -> None:
         """Complete the parameters of the law by their defaults."""
         kind = DRIVE_KINDS.get(self.kind)
         names = [p.name for p in kind.law.parameters] if kind.law else []
-        values = {**kind.defaults, **self.law_parameters}
+        values = {name: kind.defaults[name] for name in names if name in kind.defaults}
+        values |= self.law_parameters
         if set(values) != set(names):
             takes = f"takes {', '.join(names)}" if names else "has no law"
             given = ", ".join(self.law_parameters) or "nothing"
             raise InputError(f"drive {self.name!r}: the kind {self.kind!r} {takes}, not {given}")
         object.__setattr__(self, "law_parameters", {name: values[name] for name in names})
 
+    @classmethod
+    @override
+    def variant(cls, coordinate: CoordinateKind, kind: str = "voltage") -> Variant:
+        of_kind = DRIVE_KINDS.get(kind)
+        units = FIXED_UNITS | UNITS[coordinate]
+        units["command"] = of_kind.unit(coordinate)
+        absent: dict[str, Any] = dict(of_kind.fixed)
+        if not of_kind.fraction:
+            absent["supply"] = ""
+        if of_kind.law is None:
+            absent["law_parameters"] = {}
+        else:
+            units |= {p.name: units.get(p.unit, p.unit) for p in of_kind.law.parameters}
+        return Variant(
+            title=f"a drive of the kind {kind!r}",
+            units={**units, **of_kind.units},
+            absent=absent,
+            defaults=of_kind.defaults,
+            fields={"rated_voltage": f"rated_{of_kind.command}", "law_parameters": "parameters"},
+        )
+
     @property
+    @override
     def parameter_names(self) -> tuple[str, ...]:
         """Names of the parameters that can be identified or randomized; the kind determines them."""
-        return (*DRIVE_KINDS.get(self.kind).parameters, *self.law_parameters)
+        fixed = DRIVE_KINDS.get(self.kind).fixed
+        of_motor = [name for name in super().parameter_names if name not in fixed]
+        return (*of_motor, *self.law_parameters)
 
     @property
+    @override
     def parameter_values(self) -> dict[str, float]:
-        """Values of the parameters that can be identified or randomized, SI, by name."""
-        return {
-            name: self.law_parameters[name] if name in self.law_parameters else getattr(self, name)
-            for name in self.parameter_names
-        }
+        law = self.law_parameters
+        return {name: law[name] if name in law else getattr(self, name) for name in self.parameter_names}
 
+    @override
     def with_values(self, values: Mapping[str, Any]) -> Drive:
         """Return a copy with other values, SI, of attributes and of parameters of the law, by name."""
         law = {name: values.get(name, value) for name, value in self.law_parameters.items()}
         others = {name: value for name, value in values.items() if name not in law}
-        return dataclasses.replace(self, law_parameters=law, **others)
+        changed: Drive = super().with_values(others)
+        return dataclasses.replace(changed, law_parameters=law) if law else changed
 
     @property
     def law(self) -> DriveLaw | None:
@@ -402,14 +382,11 @@ class Drive:
         return self.back_emf
 
     @property
+    @override
     def device_parameters(self) -> dict[str, float]:
-        """Parameters of the digital-to-analog converter by name; they do not enter the equations of motion.
-
-        They are `converter_bits`, the number of bits (0: continuous voltage), and `voltage_range`, the largest voltage
-        in either direction, V (by default the rated voltage).
-        """
+        """Parameters of the digital-to-analog converter by name; its range is by default the rated voltage."""
         limit = self.rated_voltage if self.voltage_range is None else self.voltage_range
-        return {"converter_bits": self.converter_bits, "voltage_range": limit}
+        return super().device_parameters | {"voltage_range": limit}
 
 
 class SensorKind:
@@ -563,32 +540,47 @@ class AbsoluteAngle(SensorKind):
 
 
 @dataclass(frozen=True)
-class Sensor:
-    """One measured channel, which responds to the sum of row[c] * q[c] over the positions q, or to another quantity.
+class Sensor(Component):
+    """One sensor, which measures the sum of coefficients times positions, speeds, accelerations or currents.
 
-    The kind of the sensor states the quantity: position, speed, acceleration, or current of the drives.
+    Its unit is that of the quantity at the coordinate with the largest coefficient.
 
     Attributes:
-        channel: Column of the recordings that holds the measurement, for example x_m or phi1_rad.
-        row: Coefficient of each coordinate (of each drive for a current), by name. A key may be a product of two
-            coordinates: "y*yaw" adds the coefficient times y * yaw to the position.
-        noise: Standard deviation of the noise, in the channel's unit.
-        resolution: Quantization step, in the channel's unit; 0 for a continuous sensor.
-        kind: Name in `SENSOR_KINDS`: "encoder" (incremental position), "laser" (position with a fixed zero), "speed",
-            ..., or a kind that a user registered.
-        zero: Measurement of an incremental sensor at position 0, in the channel's unit, if it was the same in all
-            recordings from which the machine was identified. None: unknown.
-        zero_std: Standard deviation of `zero` from recording to recording, in the channel's unit. Belts that friction
-            holds stretched at rest cause it. None: `zero` is unknown, or no variation was found.
+        channel: Column of its measurements in recordings; the name ends in the unit, for example _m, _rad, _m_s,
+            _rad_s, _m_s2 or _A.
+        row: Coefficient by name of a coordinate, usually {"x": 1.0}; or of a product of two: "y*yaw" adds the
+            coefficient times y * yaw to the position. For the kind "current", by name of a drive.
+        noise: Standard deviation of the noise; 0 if it is below the resolution.
+        resolution: Quantization step; 0 for a continuous sensor. An encoder on the motor shaft that is read in
+            quadrature has 2 pi / (4 * lines * gear_ratio).
+        kind: What it measures. Default in a file: "encoder" on a rotary coordinate, "laser" on a linear one.
+        zero: Measurement of an encoder at position 0, if it was (nearly) the same in all runs from which the machine
+            was identified. `std`, if given, is its standard deviation from run to run, caused by belts that friction
+            holds stretched at rest. Default: unknown.
+        zero_std: Standard deviation of `zero` from run to run, in the sensor's unit. None: `zero` is unknown, or no
+            variation was found.
     """
 
-    channel: str
+    kinds: ClassVar[Registry[Any] | None] = SENSOR_KINDS
+
+    channel: Annotated[str, Text("column")]
     row: Row
-    noise: float = 0.0
-    resolution: float = 0.0
-    kind: str = "laser"
-    zero: float | None = None
+    noise: Annotated[float, Number("measurement", lower=0.0, role="device", plausible=0.1)] = 0.0
+    resolution: Annotated[float, Number("measurement", lower=0.0, role="device", plausible=0.1)] = 0.0
+    kind: Annotated[str, Text(presence="written")] = "laser"
+    zero: Annotated[float | None, Number("position", lower=-LARGEST, std="zero_std")] = None
     zero_std: float | None = None
+
+    @classmethod
+    @override
+    def variant(cls, coordinate: CoordinateKind, kind: str = "laser") -> Variant:
+        quantity = SENSOR_KINDS.get(kind).quantity()
+        units = FIXED_UNITS | UNITS[coordinate]
+        return Variant(
+            title=f"a sensor of the kind {kind!r}",
+            units=units | {"measurement": units[quantity]},
+            absent={} if quantity == "position" else {"zero": None},
+        )
 
     @property
     def incremental(self) -> bool:
@@ -627,14 +619,6 @@ class Sensor:
         The sign of a coefficient does not matter, and products of coordinates ("y*yaw") are ignored.
         """
         return max((name for name in self.row if "*" not in name), key=lambda name: abs(self.row[name]))
-
-    @property
-    def device_parameters(self) -> dict[str, float]:
-        """Noise and resolution of the sensor by name; they do not enter the equations of motion.
-
-        They are `noise`, its standard deviation, and `resolution`, its quantization step (0: continuous), m or rad.
-        """
-        return {"noise": self.noise, "resolution": self.resolution}
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,9 +19,7 @@ from ..arrays import Array
 from .axis_unit import DEFAULT_TURNS, METERS, RADIANS, AxisUnit
 from .components import (
     DRIVE_KINDS,
-    FIXED_UNITS,
     SENSOR_KINDS,
-    UNITS,
     Belt,
     Coordinate,
     Drive,
@@ -31,6 +28,7 @@ from .components import (
     Sensor,
     Uncertainty,
 )
+from .declaration import FIXED_UNITS, UNITS, Component, Variant, declared_numbers
 from .effect import AppliedEffect, SiteKind
 from .trajectory import SIMULATORS, Trajectory
 
@@ -246,9 +244,8 @@ class Machine:
         Tied parameters (`ties`) are not included; their values follow from the parameters to which they are tied.
         """
         values: dict[str, float] = {}
-        components: tuple[Coordinate | Belt | Drive, ...] = (*self.coordinates, *self.belts, *self.drives)
-        for component in components:
-            of_component = {f"{component.name}.{key}": v for key, v in component.parameter_values.items()}
+        for component in (*self.coordinates, *self.belts, *self.drives):
+            of_component = {f"{component.label}.{key}": v for key, v in component.parameter_values.items()}
             values |= {name: value for name, value in of_component.items() if name not in self.ties}
         for effect in self.effects:
             values |= {f"{effect.label}.{key}": value for key, value in effect.parameters.items()}
@@ -261,9 +258,21 @@ class Machine:
         They can be randomized: `x_m.noise` and `x_m.resolution` (in its unit) of every sensor; `motor1.converter_bits`
         (number of bits) and `motor1.voltage_range` (V, by default the rated voltage) of every drive.
         """
-        owners = [(s.channel, s.device_parameters) for s in self.sensors]
-        owners += [(d.name, d.device_parameters) for d in self.drives]
-        return {f"{owner}.{key}": value for owner, values in owners for key, value in values.items()}
+        return {
+            f"{component.label}.{key}": value
+            for component in (*self.sensors, *self.drives)
+            for key, value in component.device_parameters.items()
+        }
+
+    def variant(self, component: Component) -> Variant:
+        """Return what follows from the kind of a component of this machine: units, and attributes that it lacks."""
+        if isinstance(component, Coordinate):
+            return Coordinate.variant(component.kind)
+        if isinstance(component, Drive):
+            return Drive.variant(self.coordinate(component.coordinate).kind, component.kind)
+        if isinstance(component, Sensor):
+            return Sensor.variant(self.coordinate(self.coordinate_of_sensor(component)).kind, component.kind)
+        return Variant()
 
     def unit(self, parameter: str) -> str:
         """Return the unit of a parameter, for example "Ns/m" for "x.viscous"; "1" if dimensionless.
@@ -274,29 +283,18 @@ class Machine:
         owner, _, key = parameter.rpartition(".")
         if effect := {e.label: e for e in self.effects}.get(owner):
             return self.effect_unit(effect, key)
-        if owner in self.output_channels and key in self.sensor(owner).device_parameters:
-            return self.sensor_unit(self.sensor(owner))
-        if owner in self.coordinate_names:
-            return self.coordinate(owner).unit(key)
-        belts = [] if key == "gear_ratio" else [b.name for b in self.belts]
-        if owner not in (*belts, *(d.name for d in self.drives)):
-            raise KeyError(f"machine {self.name!r} has no parameter {parameter}")
-        if owner not in (d.name for d in self.drives):
-            return FIXED_UNITS[key]
-        drive = self.drive(owner)
-        if key in ("voltage_range", "rated_voltage"):
-            return self.command_unit(drive)
-        if key in drive.law_parameters:
-            return DRIVE_KINDS.get(drive.kind).units_of_law(self.coordinate(drive.coordinate).kind)[key]
-        if key == "Kt" and drive.command == "torque":
-            return "1"  # true per commanded torque
-        if key == "gear_ratio":
-            return self.coordinate(drive.coordinate).unit("rad/position")
-        return FIXED_UNITS[key]
+        for component in (*self.sensors, *self.coordinates, *self.belts, *self.drives):
+            if component.label == owner:
+                declared = declared_numbers(type(component)).get(key)
+                if declared is not None:
+                    return self.variant(component).unit(key, declared)
+                if isinstance(component, Drive) and key in component.law_parameters:
+                    return self.variant(component).units[key]
+        raise KeyError(f"machine {self.name!r} has no parameter {parameter}")
 
     def command_unit(self, drive: Drive) -> str:
         """Return the unit of the command of a drive of this machine, for example V, or rad for a servo at a pulley."""
-        return DRIVE_KINDS.get(drive.kind).unit(self.coordinate(drive.coordinate).kind)
+        return self.variant(drive).units["command"]
 
     def effect_unit(self, effect: AppliedEffect, parameter: str) -> str:
         """Return the unit of a parameter of an effect on its component: "N" at a carriage, "Nm" at a motor.
@@ -332,17 +330,10 @@ class Machine:
             tied: factor * values[name] for tied, (name, factor) in self.ties.items() if name in values
         }
         new: dict[str, object] = {
-            "coordinates": tuple(
-                _with_values(c, c.name, c.parameter_names, values) for c in self.coordinates
-            ),
-            "belts": tuple(_with_values(b, b.name, b.parameter_names, values) for b in self.belts),
-            "drives": tuple(
-                _with_values(d, d.name, (*d.parameter_names, *d.device_parameters), values)
-                for d in self.drives
-            ),
-            "sensors": tuple(
-                _with_values(s, s.channel, tuple(s.device_parameters), values) for s in self.sensors
-            ),
+            "coordinates": tuple(_with_values(c, values) for c in self.coordinates),
+            "belts": tuple(_with_values(b, values) for b in self.belts),
+            "drives": tuple(_with_values(d, values) for d in self.drives),
+            "sensors": tuple(_with_values(s, values) for s in self.sensors),
             "effects": tuple(
                 effect.with_parameters(
                     {k: values.get(f"{effect.label}.{k}", v) for k, v in effect.parameters.items()}
@@ -391,13 +382,8 @@ class Machine:
         return SIMULATORS.get("default")(self, time_s, inputs, initial)
 
 
-def _with_values(component: Any, name: str, keys: tuple[str, ...], values: Mapping[str, float]) -> Any:
-    """Return a component with those of its parameters replaced that `values` holds under `name.key`."""
-    new: dict[str, Any] = {key: values[f"{name}.{key}"] for key in keys if f"{name}.{key}" in values}
-    if "converter_bits" in new:
-        new["converter_bits"] = round(new["converter_bits"])
-    if not new:
-        return component
-    return (
-        component.with_values(new) if isinstance(component, Drive) else dataclasses.replace(component, **new)
-    )
+def _with_values(component: Component, values: Mapping[str, float]) -> Component:
+    """Return a component with those of its parameters replaced that `values` holds under `label.key`."""
+    keys = (*component.parameter_names, *component.device_parameters)
+    new = {key: values[name] for key in keys if (name := f"{component.label}.{key}") in values}
+    return component.with_values(new) if new else component  # type: ignore[no-any-return]

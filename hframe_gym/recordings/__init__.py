@@ -36,7 +36,7 @@ from .logs import (
 )
 from .machine_file import load_machine, machine_to_dict, save_machine
 from .machine_reader import implausible_values
-from .machine_schema import TABLES, Table, field_descriptions, field_units, machine_json_schema, table_summary
+from .machine_schema import TABLES, Table, field_descriptions, field_units, fields, machine_json_schema
 from .machine_template import (
     TEMPLATE_QUESTIONS,
     TEMPLATES,
@@ -86,6 +86,7 @@ __all__ = [
     "examples_folder",
     "field_descriptions",
     "field_units",
+    "fields",
     "fill_gaps",
     "find_logs",
     "find_wrap",
@@ -117,7 +118,6 @@ __all__ = [
     "run_of",
     "save_machine",
     "split_unit",
-    "table_summary",
     "template_value",
     "unwrapped",
     "without_outliers",

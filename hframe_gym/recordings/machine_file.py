@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any, get_args
@@ -14,9 +14,17 @@ from pydantic import ValidationError
 from ..atomic_files import write_text
 from ..errors import InputError, suggestion
 from ..file_limits import read_document
-from ..machine import BUILTIN_MACHINES, DRIVE_KINDS, Machine, Sensor
+from ..machine import BUILTIN_MACHINES, Component, Machine, Number, Numbers, attributes
 from .machine_reader import MachineReader
-from .machine_schema import SCHEMA_VERSION, MachineFile, QuantityEntry, Table, field_units
+from .machine_schema import (
+    COMPONENTS,
+    SCHEMA_VERSION,
+    MachineFile,
+    QuantityEntry,
+    Table,
+    field_units,
+    fields,
+)
 
 
 def load_machine(source: str | Path | Machine) -> Machine:
@@ -83,54 +91,11 @@ def machine_to_dict(machine: Machine) -> dict[str, Any]:
         Content with the fields of the schema (`MachineFile`), made of dictionaries, lists, strings and numbers only.
         Every parameter has its unit, an identified one also its standard deviation.
     """
-
-    def quantity(owner: str, key: str, value: float) -> dict[str, Any]:
-        """Return value and unit, and the standard deviation of an identified parameter."""
-        name = f"{owner}.{key}"
-        entry: dict[str, Any] = {"value": value, "unit": machine.unit(name)}
-        std = machine.uncertainty.std(name) if machine.uncertainty else None
-        return entry | ({} if std is None else {"std": std})
-
-    coordinates = []
-    for coordinate in machine.coordinates:
-        keys = [key for key in coordinate.parameter_names if key != "radius" or coordinate.kind == "rotary"]
-        entry: dict[str, Any] = {"name": coordinate.name, "kind": coordinate.kind}
-        entry |= {key: quantity(coordinate.name, key, getattr(coordinate, key)) for key in keys}
-        coordinates.append(entry | ({"range": list(coordinate.range)} if coordinate.range else {}))
-    belts = [
-        {"name": b.name}
-        | {key: quantity(b.name, key, getattr(b, key)) for key in b.parameter_names}
-        | {"extension": dict(b.extension), "length": dict(b.length)}
-        for b in machine.belts
-    ]
-    drives = []
-    for drive in machine.drives:
-        entry = {"name": drive.name, "channel": drive.channel, "coordinate": drive.coordinate}
-        if drive.kind != "voltage":
-            entry["kind"] = drive.kind
-        if drive.supply:
-            entry["supply"] = drive.supply
-        kind = DRIVE_KINDS.get(drive.kind)
-        keys = [*kind.parameters, *(["voltage_range"] if drive.voltage_range is not None else [])]
-        entry |= {key: quantity(drive.name, key, getattr(drive, key)) for key in keys}
-        entry[kind.rated()] = quantity(drive.name, "rated_voltage", drive.rated_voltage)
-        stated = {
-            key: value for key, value in drive.law_parameters.items() if kind.defaults.get(key) != value
-        }
-        if stated:
-            entry["parameters"] = {key: quantity(drive.name, key, value) for key, value in stated.items()}
-        drives.append(entry | {"converter_bits": drive.converter_bits})
-    sensors = [
-        {"channel": s.channel, "kind": s.kind, "row": dict(s.row)}
-        | {key: quantity(s.channel, key, value) for key, value in s.device_parameters.items()}
-        | _zero_entry(s, machine.unit(f"{s.channel}.noise"))
-        for s in machine.sensors
-    ]
     effects = [
         {
             "name": e.name,
             "site": e.site,
-            "parameters": {k: quantity(e.label, k, v) for k, v in e.parameters.items()},
+            "parameters": {k: _quantity(machine, f"{e.label}.{k}", v) for k, v in e.parameters.items()},
         }
         for e in machine.effects
     ]
@@ -140,12 +105,10 @@ def machine_to_dict(machine: Machine) -> dict[str, Any]:
         "description": machine.description,
     }
     content |= {
-        "coordinates": coordinates,
-        "belts": belts,
-        "drives": drives,
-        "sensors": sensors,
-        "effects": effects,
+        section: [_component_entry(machine, component) for component in getattr(machine, section)]
+        for section in COMPONENTS
     }
+    content["effects"] = effects
     if machine.ties:
         content["ties"] = {name: list(tie) for name, tie in machine.ties.items()}
     if machine.uncertainty is not None:
@@ -154,12 +117,32 @@ def machine_to_dict(machine: Machine) -> dict[str, Any]:
     return content
 
 
-def _zero_entry(sensor: Sensor, unit: str) -> dict[str, Any]:
-    """Return the field `zero` of a sensor whose zero is known, else nothing."""
-    if sensor.zero is None:
-        return {}
-    std = {} if sensor.zero_std is None else {"std": sensor.zero_std}
-    return {"zero": {"value": sensor.zero, "unit": unit} | std}
+def _component_entry(machine: Machine, component: Component) -> dict[str, Any]:
+    """Return a component as machine.json describes it: the attributes of its class, in their order."""
+    variant = machine.variant(component)
+    entry: dict[str, Any] = {}
+    for name, attribute in attributes(type(component)).items():
+        value, declared = getattr(component, name), attribute.declared
+        if isinstance(declared, Numbers):
+            value = {key: v for key, v in value.items() if variant.defaults.get(key) != v}
+            value = {key: _quantity(machine, f"{component.label}.{key}", v) for key, v in value.items()}
+        left_out = attribute.presence == "omitted" and value in (None, attribute.default)
+        if name in variant.absent or left_out:
+            continue
+        if isinstance(declared, Number) and attribute.type is float:
+            std = getattr(component, declared.std) if declared.std else None
+            value = _quantity(machine, f"{component.label}.{name}", value, std)
+        elif isinstance(value, Mapping):
+            value = dict(value)
+        entry[variant.field(name)] = list(value) if isinstance(value, tuple) else value
+    return entry
+
+
+def _quantity(machine: Machine, name: str, value: float, std: float | None = None) -> dict[str, Any]:
+    """Return value and unit of a parameter, and its standard deviation if it has one or was identified."""
+    if machine.uncertainty and std is None:
+        std = machine.uncertainty.std(name)
+    return {"value": value, "unit": machine.unit(name)} | ({} if std is None else {"std": std})
 
 
 def _field_name(location: tuple[int | str, ...], text: str) -> str:
@@ -201,17 +184,14 @@ def _reason(error: dict[str, Any]) -> str:
     """
     *parents, field = error["loc"] or ("",)
     table = _table_at(parents)
-    fields = [info.alias or name for name, info in table.model_fields.items()]
+    here = fields(table)
     if error["type"] == "extra_forbidden":
-        similar = difflib.get_close_matches(str(field), fields, 1)
+        similar = difflib.get_close_matches(str(field), list(here), 1)
         hint = f"did you mean {similar[0]!r}? " if similar else ""
-        return f"unknown field; {hint}The fields here are {', '.join(sorted(fields))}"
+        return f"unknown field; {hint}The fields here are {', '.join(sorted(here))}"
     if error["type"] == "missing":
-        annotations = {info.alias or name: info.annotation for name, info in table.model_fields.items()}
-        units = ""
-        if annotations.get(str(field)) is QuantityEntry:
-            units = f'; write {{"value": ..., "unit": "{" or ".join(field_units(field))}"}}'
-        return f"missing{units}"
+        units = " or ".join(field_units(here[field])) if field in here else ""
+        return f'missing; write {{"value": ..., "unit": "{units}"}}' if units else "missing"
     if error["type"] == "model_type" and _table_at(error["loc"]) is QuantityEntry:
         return 'must be a value with its unit: {"value": ..., "unit": "..."}'
     if error["type"] == "json_invalid":
@@ -223,8 +203,8 @@ def _table_at(location: list[Any] | tuple[Any, ...]) -> type[Table]:
     """Return the table of the schema at a location in the file."""
     table: type[Table] = MachineFile
     for key in location:
-        by_name = {info.alias or name: info.annotation for name, info in table.model_fields.items()}
-        pending = [by_name.get(key)]
+        info = fields(table).get(str(key))
+        pending = [info.annotation] if info else []
         while pending:  # a list, dictionary or optional contains the class of a table
             annotation = pending.pop()
             if isinstance(annotation, type) and issubclass(annotation, Table):

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import math
 import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,43 +13,41 @@ import numpy as np
 from ..effects import EFFECTS, effect_sites, get_effect
 from ..errors import InputError
 from ..machine import (
-    ARM,
     DRIVE_KINDS,
-    FIXED_UNITS,
     SENSOR_KINDS,
-    UNITS,
     AppliedEffect,
+    Attribute,
     Belt,
+    Component,
     Coordinate,
     CoordinateKind,
     Drive,
-    DriveKind,
+    Effect,
     Machine,
+    Number,
     Sensor,
+    Text,
     Uncertainty,
+    Variant,
+    attributes,
+    declared_numbers,
     pulley_names,
     rigid_motions,
 )
+from ..registry import Registry
 from .machine_schema import (
-    MAY_BE_ZERO,
-    BeltEntry,
-    CoordinateEntry,
-    DriveEntry,
+    COMPONENTS,
+    EFFECT_FIELDS,
     EffectEntry,
+    EffectField,
     MachineFile,
     QuantityEntry,
-    SensorEntry,
-    Table,
     UncertaintyEntry,
 )
 
-# m; larger values are probably millimeters. Belt axes of more than 10 m exist, hence a warning and no error.
-_LARGEST = {"range": 10.0, "rest_length": 50.0, "radius": 1.0, "noise": 0.1, "resolution": 0.1}
 MAX_TEXT = 1000  # characters of a name or description
 # Signs that separate or quote the columns of files; "@" separates effects from sites.
 _NOT_IN_COLUMNS = (",", ";", '"', "'", "@")
-# Beyond these, products of a few parameters vanish or overflow.
-_SMALLEST_POSITIVE, _LARGEST_MAGNITUDE = 1e-30, 1e30
 _OTHER_UNITS = ("_mm", "_um", "_cm", "_deg", "_counts")
 
 
@@ -144,43 +142,76 @@ class MachineReader:
                 field, f"must be the name of a column: no blanks at its ends and none of {signs}"
             )
 
-    def _values(self, field: str, table: Table, units: dict[str, str]) -> dict[str, float]:
-        """Check unit and sign of quantities.
-
-        Args:
-            field: Dotted name of the table.
-            table: Table that has the quantities.
-            units: Unit by name of the quantity.
-
-        Returns:
-            Value by name of the quantity.
-
-        Raises:
-            InputError: If a unit or sign is wrong.
-        """
-        values = {}
-        for key, unit in units.items():
-            quantity: QuantityEntry = getattr(table, key)
-            # Older files have the unit "1" for every gear ratio.
-            if quantity.unit != unit and not (key == "gear_ratio" and quantity.unit == "1"):
-                raise self._error(f"{field}.{key}", f"unit is {quantity.unit!r}, must be {unit!r}")
-            smallest, sign = (0.0, "zero or more") if key in MAY_BE_ZERO else (_SMALLEST_POSITIVE, "positive")
-            if not smallest <= quantity.value <= _LARGEST_MAGNITUDE:
-                limits = "" if quantity.value <= 0 else f", between {smallest:g} and {_LARGEST_MAGNITUDE:g}"
-                raise self._error(f"{field}.{key}", f"{quantity.value:g} must be {sign}{limits}")
-            values[key] = quantity.value
+    def _attributes(
+        self, component: type[Component], entry: Any, variant: Variant, field: str
+    ) -> dict[str, Any]:
+        """Return the attributes of a component by name; check that it has them, and their units and bounds."""
+        declared = attributes(component)
+        own = {variant.field(name): a for name, a in declared.items() if name not in variant.absent}
+        others = (
+            set(type(entry).model_fields) - set(own) - set(EFFECT_FIELDS.get(component, {})) - {"comment"}
+        )
+        surplus = next((key for key in sorted(others) if getattr(entry, key) not in (None, {})), None)
+        if surplus is not None:
+            raise self._error(f"{field}.{surplus}", f"{variant.title} has none; delete it")
+        values = dict(variant.absent)
+        for key, attribute in own.items():
+            name, given = attribute.name, getattr(entry, key)
+            if given is not None:
+                values |= self._value(f"{field}.{key}", attribute, given, variant)
+            elif name in variant.defaults:
+                values[name] = variant.defaults[name]
+            elif attribute.presence == "required":
+                unit = variant.unit(name, declared_numbers(component)[name])
+                raise self._error(f"{field}.{key}", f'missing; write {{"value": ..., "unit": "{unit}"}}')
         return values
 
-    def _row(
+    def _value(self, field: str, attribute: Attribute, given: Any, variant: Variant) -> dict[str, Any]:
+        """Return an attribute, and its standard deviation if it is one, by name; check unit, bounds and text."""
+        name, declared = attribute.name, attribute.declared
+        if isinstance(declared, Text) and declared.form == "column":
+            self._check_text(field, given, column=True)
+        if not isinstance(declared, Number):
+            return {name: given}
+        if isinstance(given, tuple):
+            self._check_interval(field, given)
+        if not isinstance(given, QuantityEntry):
+            return {name: given}
+        self._check_quantity(field, given, declared, variant.unit(name, declared))
+        return {name: given.value} | ({declared.std: given.std} if declared.std else {})
+
+    def _check_quantity(self, field: str, given: QuantityEntry, declared: Number, unit: str) -> None:
+        """Refuse a number that has another unit, or lies outside its bounds."""
+        if given.unit not in (unit, declared.older_unit or unit):
+            raise self._error(field, f"unit is {given.unit!r}, must be {unit!r}")
+        if not declared.lower <= given.value <= declared.upper:
+            limits = f"between {declared.lower:g} and {declared.upper:g}"
+            sign = "positive" if declared.lower > 0.0 else "zero or more"
+            if declared.lower >= 0.0:
+                limits = sign if given.value <= 0.0 else f"{sign}, {limits}"
+            raise self._error(field, f"{given.value:g} must be {limits}")
+
+    def _check_interval(self, field: str, interval: tuple[float, float]) -> None:
+        """Refuse an interval that ends before it begins."""
+        if not interval[0] < interval[1]:
+            raise self._error(field, "must be [lowest, highest]")
+
+    def _check_kind(self, field: str, kind: str, registry: Registry[Any]) -> None:
+        """Refuse a kind that is not registered; `Registry.get` would import the module of a name "module:kind"."""
+        if kind not in registry:
+            choices = ", ".join(registry)
+            raise self._error(field, f"{registry.kind} {kind!r} is not registered; choose one of {choices}")
+
+    def _check_row(
         self,
         field: str,
-        row: dict[str, float],
+        row: Mapping[str, float],
         *,
         empty: bool = False,
         products: bool = False,
         of: str = "coordinate",
-    ) -> dict[str, float]:
-        """Return a row of coefficients after checking that it names coordinates, or drives, of the file."""
+    ) -> None:
+        """Refuse a row of coefficients that does not name coordinates, or drives, of the file."""
         names = list(self._kinds) if of == "coordinate" else [drive.name for drive in self.content.drives]
         for name in (factor for key in row for factor in (key.split("*") if products else (key,))):
             if name not in names:
@@ -189,181 +220,129 @@ class MachineReader:
             raise self._error(field, "a product has two factors at most")
         if not empty and not any(value for key, value in row.items() if "*" not in key):
             raise self._error(field, f"needs a coefficient other than zero for at least one {of}")
-        return row
 
-    def _coordinate(self, entry: CoordinateEntry) -> Coordinate:
+    def _coordinate(self, entry: Any) -> Coordinate:
         """Return a coordinate."""
         field = f"coordinates.{entry.name}"
-        if entry.radius is not None and entry.kind == "linear":
-            raise self._error(f"{field}.radius", "a linear coordinate has none; delete it")
         on_belt = entry.kind == "rotary" and any(entry.name in b.extension for b in self.content.belts)
         if on_belt and entry.radius is None:
             raise self._error(
                 f"{field}.radius", "a rotary coordinate on which a belt runs needs its pitch radius"
             )
-        if entry.range is not None and not entry.range[0] < entry.range[1]:
-            raise self._error(f"{field}.range", "must be [lowest, highest]")
-        keys = [key for key in Coordinate.PARAMETERS if key != "radius" or entry.radius is not None]
-        units = {key: Coordinate(entry.name, mass=0.0, kind=entry.kind).unit(key) for key in keys}
-        values = self._values(field, entry, units)
-        if entry.kind == "rotary":
-            values.setdefault("radius", ARM)
-        return Coordinate(entry.name, kind=entry.kind, range=entry.range, **values)
+        return Coordinate(**self._attributes(Coordinate, entry, Coordinate.variant(entry.kind), field))
 
-    def _belt(self, entry: BeltEntry) -> Belt:
+    def _belt(self, entry: Any) -> Belt:
         """Return a belt."""
         field = f"belts.{entry.name}"
-        values = self._values(field, entry, {key: FIXED_UNITS[key] for key in Belt.PARAMETERS})
-        extension = self._row(f"{field}.extension", entry.extension)
-        length = self._row(f"{field}.length", entry.length, empty=True)
-        return Belt(entry.name, extension=extension, length=length, **values)
+        values = self._attributes(Belt, entry, Variant(), field)
+        self._check_row(f"{field}.extension", entry.extension)
+        self._check_row(f"{field}.length", entry.length or {}, empty=True)
+        return Belt(**values)
 
-    def _drive(self, entry: DriveEntry) -> Drive:
+    def _drive(self, entry: Any) -> Drive:
         """Return a drive."""
         field = f"drives.{entry.name}"
-        self._check_text(f"{field}.channel", entry.channel, column=True)
         if entry.coordinate not in self._kinds:
             raise self._error(f"{field}.coordinate", f"no coordinate is called {entry.coordinate!r}")
-        if entry.kind not in DRIVE_KINDS:
-            choices = ", ".join(DRIVE_KINDS)
-            raise self._error(
-                f"{field}.kind", f"drive kind {entry.kind!r} is not registered; choose one of {choices}"
-            )
-        kind = DRIVE_KINDS.get(entry.kind)
-        rated, moved = kind.rated(), self._kinds[entry.coordinate]
-        kinds = [DRIVE_KINDS.get(name) for name in DRIVE_KINDS]
-        fields = {key for each in kinds for key in (*each.parameters, each.rated())}
-        fields |= {"current_limit"} if kind.law else set()
-        for key in sorted(fields - {*kind.parameters, rated}):
-            if getattr(entry, key) is not None:
-                raise self._error(f"{field}.{key}", f"a drive of the kind {entry.kind!r} has none; delete it")
-        units = {key: FIXED_UNITS[key] for key in kind.parameters if key != "gear_ratio"}
-        units |= {rated: kind.unit(moved), "gear_ratio": UNITS[moved]["rad/position"]}
-        if kind.command == "torque":
-            units["Kt"] = "1"
-            if entry.Kt is None:
-                del units["Kt"]
-            if entry.current_limit is not None:
-                raise self._error(
-                    f"{field}.current_limit", "a torque has no limit in A; describe a drive of currents"
-                )
-        missing = next((key for key in units if getattr(entry, key) is None), None)
-        if missing is not None:
-            raise self._error(
-                f"{field}.{missing}", f'missing; write {{"value": ..., "unit": "{units[missing]}"}}'
-            )
-        if entry.voltage_range is not None:
-            units["voltage_range"] = kind.unit(moved)
-        values: dict[str, Any] = {"Kt": 1.0, **kind.fixed} | self._values(field, entry, units)
-        values["rated_voltage"] = values.pop(rated)
-        values["law_parameters"] = self._law_parameters(field, entry, kind)
-        if entry.supply is not None:
-            self._check_text(f"{field}.supply", entry.supply, column=True)
-            if not kind.fraction:
-                raise self._error(f"{field}.supply", "only a drive of the kind 'duty-cycle' has one")
-            values["supply"] = entry.supply
-        if entry.bandwidth is not None and kind.command == "voltage":
-            raise self._error(
-                f"{field}.bandwidth", "only a drive that controls its current or torque has one"
-            )
-        return Drive(
-            entry.name,
-            entry.channel,
-            entry.coordinate,
-            kind=entry.kind,
-            converter_bits=entry.converter_bits,
-            **values,
-        )
+        name = "voltage" if entry.kind is None else entry.kind
+        self._check_kind(f"{field}.kind", name, DRIVE_KINDS)
+        kind, variant = DRIVE_KINDS.get(name), Drive.variant(self._kinds[entry.coordinate], name)
+        values = self._attributes(Drive, entry, variant, field)
+        self._check_effect_fields(Drive, entry, field, kind, variant)
+        return Drive(**values | {"law_parameters": self._law_parameters(field, entry, variant, kind.law)})
 
-    def _law_parameters(self, field: str, entry: DriveEntry, kind: type[DriveKind]) -> dict[str, float]:
+    def _law_parameters(
+        self, field: str, entry: Any, variant: Variant, law: Effect | None
+    ) -> dict[str, float]:
         """Return the parameters of the law of a drive's kind; those that are not stated have their defaults."""
-        units = kind.units_of_law(self._kinds[entry.coordinate])
-        for key, quantity in entry.parameters.items():
-            if key not in units:
-                choices = f"it has {', '.join(units)}" if units else "it has none"
-                raise self._error(
-                    f"{field}.parameters.{key}", f"the kind {entry.kind!r} has no such parameter; {choices}"
-                )
-            if quantity.unit != units[key]:
-                raise self._error(
-                    f"{field}.parameters.{key}", f"unit is {quantity.unit!r}, must be {units[key]!r}"
-                )
-        missing = next((key for key in units if key not in {**kind.defaults, **entry.parameters}), None)
+        names = [p.name for p in law.parameters] if law else []
+        given: dict[str, QuantityEntry] = entry.parameters or {}
+        for key, quantity in given.items():
+            place = f"{field}.parameters.{key}"
+            if key not in names:
+                reason = f"the kind {entry.kind!r} has no such parameter; it has {', '.join(names)}"
+                raise self._error(place, reason)
+            if quantity.unit != variant.units[key]:
+                raise self._error(place, f"unit is {quantity.unit!r}, must be {variant.units[key]!r}")
+        values = {key: variant.defaults[key] for key in names if key in variant.defaults}
+        values |= {key: quantity.value for key, quantity in given.items()}
+        missing = next((key for key in names if key not in values), None)
         if missing is not None:
-            raise self._error(
-                f"{field}.parameters.{missing}",
-                f'missing; write {{"value": ..., "unit": "{units[missing]}"}}',
-            )
-        if kind.law is None:
+            reason = f'missing; write {{"value": ..., "unit": "{variant.units[missing]}"}}'
+            raise self._error(f"{field}.parameters.{missing}", reason)
+        if law is None:
             return {}
-        values = {**kind.defaults, **{key: q.value for key, q in entry.parameters.items()}}
         try:
-            return dict(kind.law.at(entry.name, **values).parameters)
+            return dict(law.at(entry.name, **values).parameters)
         except InputError as error:
             raise self._error(f"{field}.parameters", str(error)) from None
 
-    def _sensor(self, entry: SensorEntry) -> Sensor:
+    def _sensor(self, entry: Any) -> Sensor:
         """Return a sensor; without a declared kind, an encoder on a rotary coordinate and a laser on a linear one."""
-        self._check_text("sensors.channel", entry.channel, column=True)
         field = f"sensors.{entry.channel}"
-        # `SENSOR_KINDS.get` would import the module of a name such as "module:kind".
-        if entry.kind is not None and entry.kind not in SENSOR_KINDS:
-            choices = ", ".join(SENSOR_KINDS)
-            raise self._error(
-                f"{field}.kind", f"sensor kind {entry.kind!r} is not registered; choose one of {choices}"
-            )
-        kind = entry.kind or "laser"
-        quantity = SENSOR_KINDS.get(kind).quantity()
-        if quantity == "current":
-            self._row(f"{field}.row", entry.row, of="drive")
-            unit = FIXED_UNITS[quantity]
+        kind = "laser" if entry.kind is None else entry.kind
+        self._check_text("sensors.channel", entry.channel, column=True)
+        self._check_kind(f"{field}.kind", kind, SENSOR_KINDS)
+        coordinate: CoordinateKind = "linear"  # a current has one unit
+        if SENSOR_KINDS.get(kind).quantity() == "current":
+            self._check_row(f"{field}.row", entry.row, of="drive")
         else:
-            row = self._row(f"{field}.row", entry.row, products=True)
-            coordinate_kind = self._kinds[Sensor(entry.channel, row).coordinate]
-            unit = UNITS[coordinate_kind][quantity]
-            if entry.kind is None and coordinate_kind == "rotary":
+            self._check_row(f"{field}.row", entry.row, products=True)
+            coordinate = self._kinds[Sensor(entry.channel, entry.row).coordinate]
+            if entry.kind is None and coordinate == "rotary":
                 kind = "encoder"
-        if entry.range is not None and not entry.range[0] < entry.range[1]:
-            raise self._error(f"{field}.range", "must be [lowest, highest]")
-        values = self._values(field, entry, {"noise": unit, "resolution": unit})
-        if entry.zero is not None and quantity != "position":
-            raise self._error(f"{field}.zero", "only a sensor of positions has a zero")
-        if entry.zero is None:
-            return Sensor(entry.channel, entry.row, kind=kind, **values)
-        if entry.zero.unit != unit:
-            raise self._error(f"{field}.zero", f"unit is {entry.zero.unit!r}, must be {unit!r}")
-        return Sensor(
-            entry.channel, entry.row, kind=kind, zero=entry.zero.value, zero_std=entry.zero.std, **values
-        )
+        variant = Sensor.variant(coordinate, kind)
+        values = self._attributes(Sensor, entry, variant, field)
+        self._check_effect_fields(Sensor, entry, field, SENSOR_KINDS.get(kind), variant)
+        return Sensor(**values | {"kind": kind})
+
+    def _check_effect_fields(
+        self, component: type[Component], entry: Any, field: str, kind: type, variant: Variant
+    ) -> None:
+        """Check the fields of a component that declare effects: kind of the component, unit and bounds."""
+        for key, effect_field in EFFECT_FIELDS[component].items():
+            given, place = getattr(entry, key), f"{field}.{key}"
+            if given is None:
+                continue
+            if not effect_field.fits(kind):
+                raise self._error(place, f"{variant.title} has none; delete it")
+            if effect_field.quantity is not None:
+                self._check_quantity(place, given, effect_field.quantity, effect_field.quantity.unit)
+            else:
+                self._check_interval(place, given)
 
     def _declared_effects(self, machine: Machine) -> list[EffectEntry]:
-        """Return the effects that the fields `range`, `delay` and `current_limit` of sensors and drives declare."""
+        """Return the effects that fields of sensors and drives declare (`EFFECT_FIELDS`)."""
 
-        def declare(name: str, site: str, **parameters: QuantityEntry) -> EffectEntry:
-            return EffectEntry(name=name, site=site, parameters=parameters)
+        def declare(declared: EffectField, site: str, given: Any) -> EffectEntry:
+            values = (
+                declared.parameters(*given) if isinstance(given, tuple) else declared.parameters(given.value)
+            )
+            effect = AppliedEffect(get_effect(declared.effect), site, values)
+            entries = {
+                key: QuantityEntry(value=value, unit=machine.effect_unit(effect, key))
+                for key, value in values.items()
+            }
+            return EffectEntry(name=declared.effect, site=site, parameters=entries)
 
         effects = []
         for sensor in self.content.sensors:
-            if sensor.range is not None:
-                unit = machine.unit(f"{sensor.channel}.noise")
-                low, high = (QuantityEntry(value=limit, unit=unit) for limit in sensor.range)
-                effects.append(declare("sensor_range", sensor.channel, low=low, high=high))
-            if sensor.delay is not None:
-                effects.append(declare("sensor_delay", sensor.channel, d=sensor.delay))
+            stated = {key: getattr(sensor, key) for key in EFFECT_FIELDS[Sensor]}
+            effects += [
+                declare(EFFECT_FIELDS[Sensor][key], sensor.channel, given)
+                for key, given in stated.items()
+                if given is not None
+            ]
         drives = self.content.drives
-        effects += [
-            declare("current_limit", d.name, I=d.current_limit) for d in drives if d.current_limit is not None
-        ]
-        for drive in drives:
-            if drive.bandwidth is not None:
-                if drive.bandwidth.unit != "Hz" or not 0.0 < drive.bandwidth.value < _LARGEST_MAGNITUDE:
-                    raise self._error(f"drives.{drive.name}.bandwidth", "must be a positive number of Hz")
-                tau = QuantityEntry(value=1.0 / (2.0 * math.pi * drive.bandwidth.value), unit="s")
-                effects.append(declare("electrical_lag", drive.name, tau=tau))
-        delays = {d.name: d.delay for d in drives if d.delay is not None}
-        if len(delays) == len(drives) and all(delay == drives[0].delay for delay in delays.values()):
-            delays = {"drives": delays[drives[0].name]}
-        return effects + [declare("input_delay", site, d=delay) for site, delay in delays.items()]
+        for key, declared in EFFECT_FIELDS[Drive].items():
+            stated = {drive.name: getattr(drive, key) for drive in drives if getattr(drive, key) is not None}
+            equal = len(stated) == len(drives) and all(
+                each == stated[drives[0].name] for each in stated.values()
+            )
+            if equal and get_effect(declared.effect).site == "drives":
+                stated = {"drives": stated[drives[0].name]}
+            effects += [declare(declared, site, given) for site, given in stated.items()]
+        return effects
 
     def _effect(self, entry: EffectEntry, machine: Machine) -> AppliedEffect:
         """Return an effect at its site."""
@@ -446,26 +425,18 @@ def implausible_values(machine: Machine) -> list[tuple[str, str]]:
 
 def _large_lengths(machine: Machine) -> list[tuple[str, str]]:
     """List lengths that are probably in millimeters."""
-    lengths: list[tuple[str, tuple[float, ...]]] = []
-    lengths += [
-        (f"coordinates.{c.name}.range", c.range)
-        for c in machine.coordinates
-        if c.kind == "linear" and c.range
-    ]
-    lengths += [
-        (f"coordinates.{c.name}.radius", (c.radius,)) for c in machine.coordinates if c.kind == "rotary"
-    ]
-    lengths += [(f"belts.{b.name}.rest_length", (b.rest_length,)) for b in machine.belts]
-    for s in machine.sensors:
-        if machine.unit(f"{s.channel}.noise") == "m":
-            lengths += [
-                (f"sensors.{s.channel}.{key}", (value,)) for key, value in s.device_parameters.items()
-            ]
-    largest = [(field, max(map(abs, values))) for field, values in lengths]
-    text = "{:g} m: is it in millimeters? All lengths are in m"
-    return [
-        (field, text.format(size)) for field, size in largest if size > _LARGEST[field.rpartition(".")[2]]
-    ]
+    doubts = []
+    for section, component in ((s, c) for s in COMPONENTS for c in getattr(machine, s)):
+        variant = machine.variant(component)
+        for name, quantity in declared_numbers(type(component)).items():
+            value = getattr(component, name)
+            if value is None or name in variant.absent or variant.unit(name, quantity) != "m":
+                continue
+            size = float(np.max(np.abs(value)))
+            if size > quantity.plausible:
+                reason = f"{size:g} m: is it in millimeters? All lengths are in m"
+                doubts.append((f"{section}.{component.label}.{name}", reason))
+    return doubts
 
 
 def _doubtful_belts(machine: Machine) -> list[tuple[str, str]]:

@@ -1,71 +1,38 @@
-"""Define the schema of machine.json: its fields, their types, units and limits.
+"""The schema of machine.json: its fields, their types, units and limits.
 
-The descriptions in the JSON Schema and in docs/machine.md are the `Attributes` sections of the docstrings.
+The tables of coordinates, belts, drives and sensors follow from the declarations of the components
+(`machine.declaration`). The descriptions of all fields are the `Attributes` sections of docstrings.
 """
 
 from __future__ import annotations
 
-import inspect
-import re
-from typing import Annotated, Any, Literal, get_args
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, get_origin
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
+from pydantic import BaseModel, ConfigDict, Field, create_model
+from pydantic.fields import FieldInfo
 
-from ..machine import DRIVE_KINDS, FIXED_UNITS, UNITS, CoordinateKind, SensorQuantity
+from ..machine import (
+    POSITIVE,
+    Attribute,
+    Belt,
+    Component,
+    Coordinate,
+    Drive,
+    Number,
+    Numbers,
+    Sensor,
+    Text,
+    Variant,
+    attributes,
+    descriptions,
+    summary,
+)
 
 SCHEMA_VERSION = 1
-QUANTITIES: tuple[SensorQuantity, ...] = get_args(SensorQuantity)
 _MAX_PARTS = 100  # coordinates, belts, ...; the time to compile the equations grows with their number
-# Quantities that may be zero; the zero of an encoder may also be negative, and all others are positive.
-MAY_BE_ZERO = ("viscous", "coulomb", "Ke", "noise", "resolution")
-MAY_BE_NEGATIVE = ("zero",)
-# Quantities of the kind of a coordinate under another name than in `UNITS`, and units of effects that a field declares.
-_QUANTITIES = {"coulomb": "force", "zero": "position"}
-# Quantities in the unit of a sensor, which depends on its kind.
-_OF_SENSOR = ("noise", "resolution")
-_DECLARED_EFFECT_UNITS = {"current_limit": "A", "delay": "s", "bandwidth": "Hz"}
-
-
-def field_units(field: str) -> tuple[str, ...]:
-    """Return the units that a quantity in machine.json may have.
-
-    Args:
-        field: Name of the field, for example "mass".
-
-    Returns:
-        Accepted units. Where there are two, the first is for linear coordinates and the second for rotary ones. A gear
-        ratio at a linear coordinate may also have the unit "1". Noise and resolution of a sensor have the unit of what
-        it measures.
-
-    Raises:
-        KeyError: If no field of this name holds a quantity.
-    """
-    if field == "voltage_range":
-        kinds = map(DRIVE_KINDS.get, DRIVE_KINDS)
-        return tuple(dict.fromkeys(kind.unit(coordinate) for kind in kinds for coordinate in UNITS))
-    if field == "Kt":
-        return FIXED_UNITS[field], "1"
-    if field == "gear_ratio":
-        return tuple(UNITS[kind]["rad/position"] for kind in UNITS)
-    if field in _OF_SENSOR:
-        units = [
-            FIXED_UNITS.get(quantity) or UNITS[kind][quantity] for quantity in QUANTITIES for kind in UNITS
-        ]
-        return tuple(dict.fromkeys(units))
-    if field.startswith("rated_"):
-        quantity = field.removeprefix("rated_")
-        return tuple(dict.fromkeys(FIXED_UNITS.get(quantity) or UNITS[kind][quantity] for kind in UNITS))
-    if field in FIXED_UNITS or field in _DECLARED_EFFECT_UNITS:
-        return ((FIXED_UNITS | _DECLARED_EFFECT_UNITS)[field],)
-    return tuple(UNITS[kind][_QUANTITIES.get(field, field)] for kind in UNITS)
-
-
-def _quantity(field: str) -> Any:
-    """Return the metadata of a field that holds a quantity: units and limits for the JSON Schema."""
-    properties: dict[str, Any] = {"unit": {"enum": list(field_units(field))}}
-    if field not in MAY_BE_NEGATIVE:
-        properties["value"] = {"minimum" if field in MAY_BE_ZERO else "exclusiveMinimum": 0}
-    return Field(json_schema_extra={"properties": properties})
 
 
 class Table(BaseModel):
@@ -76,7 +43,7 @@ class Table(BaseModel):
             commands derive from this one.
     """
 
-    model_config = ConfigDict(extra="forbid", strict=True)
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
     comment: str | list[str] | None = None
 
@@ -93,155 +60,157 @@ class QuantityEntry(Table):
         std: Standard deviation of an identified value, in the unit. `hframe identify` writes it.
     """
 
-    value: FiniteFloat
+    value: float
     unit: str
-    std: FiniteFloat | None = None
+    std: float | None = None
 
 
-class CoordinateEntry(Table):
-    """One coordinate (degree of freedom) of the machine.
-
-    Attributes:
-        name: Name by which belts, drives, sensors and effects refer to the coordinate. The linear coordinates are the
-            axes of the tool in the environment, in the order of the file, whatever their names. Without linear ones,
-            the rotary coordinates are, one for each drive.
-        kind: "linear" (a carriage, positions in m) or "rotary" (a pulley, angles in rad).
-        mass: Everything that moves with the coordinate: mass, kg, or moment of inertia, kg m^2. The rotor of a motor
-            behind a gear counts gear_ratio^2 times its inertia.
-        viscous: Viscous friction coefficient, Ns/m or Nms (per rad/s). Without the back-EMF of the motor.
-        coulomb: Coulomb friction, N or Nm.
-        radius: Pitch radius of the pulley, m; required for a rotary coordinate on which a belt runs, not allowed for a
-            linear one. If no belt runs on it (a motor, a servo with an arm), leave it out: it has no influence on the
-            motion. Default: 0.1 m.
-        range: Lowest and highest position [low, high], m or rad. Default: unlimited. The environment needs the ranges
-            of linear coordinates, which are its workspace; that of a rotary axis without a range is one turn to either
-            side of zero.
-    """
-
-    name: Name
-    kind: CoordinateKind
-    mass: Annotated[QuantityEntry, _quantity("mass")]
-    viscous: Annotated[QuantityEntry, _quantity("viscous")]
-    coulomb: Annotated[QuantityEntry, _quantity("coulomb")]
-    radius: Annotated[QuantityEntry | None, _quantity("radius")] = None
-    range: tuple[FiniteFloat, FiniteFloat] | None = None
-
-
-class BeltEntry(Table):
-    """One belt section.
-
-    The travel of a coordinate is its position (linear), or its angle times its radius (rotary), in m. The section has
-    the stiffness EA / (rest_length + change of length) and the force stiffness times extension.
+@dataclass(frozen=True)
+class EffectField:
+    """Field of a component that declares an effect on it, as data sheets state it.
 
     Attributes:
-        name: Name of the belt section.
-        EA: Axial stiffness: Young's modulus times cross-section area, N. It is the force that would double the length.
-        rest_length: Length of the section with all coordinates at zero, m.
-        extension: Extension of the section per travel, m/m, by name of the coordinate. It is positive if a positive
-            motion of this coordinate alone stretches the section. A pulley usually has 1 or -1; its radius is not part
-            of it.
-        length: Change of the section's length per travel, m/m, by name of the coordinate. Usually the factors of the
-            carriages in `extension`. Empty (default): constant stiffness.
+        effect: Name of the effect.
+        description: What the field means.
+        quantity: Unit and bounds of the value; None for a pair [low, high] in the unit of the sensor.
+        parameters: Function value(s) -> values of the effect's parameters by name, SI.
+        fits: Predicate (kind of drive or sensor): whether one of that kind may have it.
     """
 
-    name: Name
-    EA: Annotated[QuantityEntry, _quantity("EA")]
-    rest_length: Annotated[QuantityEntry, _quantity("rest_length")]
-    extension: dict[str, FiniteFloat]
-    length: dict[str, FiniteFloat] = {}
+    effect: str
+    description: str
+    quantity: Number | None
+    parameters: Callable[..., Mapping[str, float]]
+    fits: Callable[[Any], bool] = lambda kind: True
 
 
-class DriveEntry(Table):
-    """One drive: a DC motor with gear and amplifier.
-
-    Attributes:
-        name: Name of the drive.
-        kind: What its command is: "voltage" (default), "duty-cycle" (fraction of the supply voltage, from -1 to 1),
-            "current" or "torque" of an amplifier that controls it, "position" or "speed" of the coordinate for a servo
-            that follows this set point, "stepper" for a motor that holds it, or a registered kind.
-        channel: Column of its command in recordings, for example v1_V, i1_A, torque1_Nm or command_rad. A positive
-            command accelerates the coordinate in positive direction.
-        supply: Column of the measured supply voltage in recordings, V, for example vbus_V. Drives may share it. Only
-            for the kind "duty-cycle"; without it, a duty cycle is one of the rated voltage.
-        coordinate: Name of the coordinate that it drives.
-        Kt: Torque constant of the motor, Nm/A. For the kind "torque" the true torque per commanded torque, with the
-            unit "1"; 1 if it is left out. Not for kinds with a law.
-        Ke: Back-EMF constant of the motor, Vs/rad. Equal to Kt in these units, if the data sheet does not give it. Only
-            for the kinds "voltage" and "duty-cycle".
-        resistance: Resistance between the terminals, ohm. Only for the kinds "voltage" and "duty-cycle".
-        gear_ratio: Angle of the motor shaft per unit of the coordinate: "1" (rad/rad) at a pulley, rad/m at a carriage.
-            There it is 1 / radius for a belt and 2 pi / lead for a screw, times the ratio of the gear.
-        rated_voltage: Voltage that an action of 1 in the environment applies, V, for the kinds "voltage" and
-            "duty-cycle".
-        rated_current: Current that an action of 1 commands, A, for the kind "current".
-        rated_torque: Torque of the motor shaft that an action of 1 commands, Nm, for the kind "torque".
-        rated_position: Position of the coordinate that an action of 1 commands, m or rad, for the kinds "position" and
-            "stepper".
-        rated_speed: Speed of the coordinate that an action of 1 commands, m/s or rad/s, for the kind "speed".
-        parameters: Values with units by name, for kinds whose torque follows a law: gains and limits of the loop of the
-            kinds "position" and "speed", holding torque of a "stepper". Those with a default may be left out.
-        converter_bits: Bits of the digital-to-analog converter; 0 (default) for a continuous voltage.
-        voltage_range: Largest command of the converter in either direction, in its unit. Default: the rated one.
-        current_limit: Largest current, A (declares the effect current_limit). Default: unlimited.
-        bandwidth: Bandwidth of a drive that controls its current or torque, Hz: the time constant of the effect
-            electrical_lag is 1 / (2 pi bandwidth). Default: unlimited.
-        delay: Delay of the voltage, s (declares the effect input_delay). Default: no delay.
-    """
-
-    name: Name
-    kind: str = "voltage"
-    channel: str
-    supply: str | None = None
-    coordinate: str
-    Kt: Annotated[QuantityEntry | None, _quantity("Kt")] = None
-    Ke: Annotated[QuantityEntry | None, _quantity("Ke")] = None
-    resistance: Annotated[QuantityEntry | None, _quantity("resistance")] = None
-    gear_ratio: Annotated[QuantityEntry, _quantity("gear_ratio")]
-    rated_voltage: Annotated[QuantityEntry | None, _quantity("rated_voltage")] = None
-    rated_current: Annotated[QuantityEntry | None, _quantity("rated_current")] = None
-    rated_torque: Annotated[QuantityEntry | None, _quantity("rated_torque")] = None
-    rated_position: Annotated[QuantityEntry | None, _quantity("rated_position")] = None
-    rated_speed: Annotated[QuantityEntry | None, _quantity("rated_speed")] = None
-    parameters: dict[str, QuantityEntry] = {}
-    converter_bits: Annotated[int, Field(ge=0, le=32)] = 0
-    voltage_range: Annotated[QuantityEntry | None, _quantity("voltage_range")] = None
-    current_limit: Annotated[QuantityEntry | None, _quantity("current_limit")] = None
-    bandwidth: Annotated[QuantityEntry | None, _quantity("bandwidth")] = None
-    delay: Annotated[QuantityEntry | None, _quantity("delay")] = None
+EFFECT_FIELDS: dict[type[Component], dict[str, EffectField]] = {
+    Drive: {
+        "current_limit": EffectField(
+            "current_limit",
+            "Largest current, A (declares the effect current_limit). Default: unlimited.",
+            Number("A", lower=0.0),
+            lambda value: {"I": value},
+            fits=lambda kind: kind.law is None and kind.command != "torque",
+        ),
+        "bandwidth": EffectField(
+            "electrical_lag",
+            "Bandwidth of a drive that controls its current or torque, Hz: the time constant of the effect "
+            "electrical_lag is 1 / (2 pi bandwidth). Default: unlimited.",
+            Number("Hz"),
+            lambda value: {"tau": 1.0 / (2.0 * math.pi * value)},
+            fits=lambda kind: kind.command != "voltage",
+        ),
+        "delay": EffectField(
+            "input_delay",
+            "Delay of the voltage, s (declares the effect input_delay). Default: no delay.",
+            Number("s", lower=0.0),
+            lambda value: {"d": value},
+        ),
+    },
+    Sensor: {
+        "range": EffectField(
+            "sensor_range",
+            "Lowest and highest measurement [low, high], in the sensor's unit (declares the effect sensor_range). "
+            "Default: unlimited.",
+            None,
+            lambda low, high: {"low": low, "high": high},
+        ),
+        "delay": EffectField(
+            "sensor_delay",
+            "Delay of the measurement, s (declares the effect sensor_delay). Default: no delay.",
+            Number("s", lower=0.0),
+            lambda value: {"d": value},
+        ),
+    },
+}
 
 
-class SensorEntry(Table):
-    """One sensor, which measures the sum of coefficients times positions, speeds, accelerations or currents.
+def _kinds(component: type[Component]) -> list[str]:
+    """Return the kinds of a component that this package defines: plugins do not change the published schema."""
+    registry = component.kinds
+    if registry is None:
+        return []
+    return [name for name in registry if registry.get(name).__module__.startswith("hframe_gym.")]
 
-    Its unit is that of the quantity at the coordinate with the largest coefficient.
 
-    Attributes:
-        channel: Column of its measurements in recordings; the name ends in the unit, for example _m, _rad, _m_s,
-            _rad_s, _m_s2 or _A.
-        kind: "encoder" (incremental position, unknown zero), "laser" (fixed zero: any absolute position),
-            "absolute-angle" (one turn, then anew), "speed", "unsigned-speed" (its absolute value), "acceleration",
-            "current" (of a drive) or a registered kind. Default: encoder on a rotary coordinate, laser on a linear one.
-        row: Coefficient by name of a coordinate, usually {"x": 1.0}; or of a product of two, such as "y*yaw". For the
-            kind "current", by name of a drive.
-        noise: Standard deviation of the noise; 0 if it is below the resolution.
-        resolution: Quantization step; 0 for a continuous sensor. An encoder on the motor shaft that is read in
-            quadrature has 2 pi / (4 * lines * gear_ratio).
-        range: Lowest and highest measurement [low, high], in the sensor's unit (declares the effect sensor_range).
-            Default: unlimited.
-        delay: Delay of the measurement, s (declares the effect sensor_delay). Default: no delay.
-        zero: Measurement of an encoder at position 0, if it was (nearly) the same in all runs from which the machine
-            was identified. `std`, if given, is its standard deviation from run to run, caused by belts that friction
-            holds stretched at rest. Default: unknown.
-    """
+def _quoted(names: Iterable[str]) -> str:
+    """Return names in quotation marks: "voltage" and "duty-cycle"."""
+    *others, last = (f'"{name}"' for name in names)
+    return f"{', '.join(others)} and {last}" if others else last
 
-    channel: str
-    kind: str | None = None
-    row: dict[str, FiniteFloat]
-    noise: Annotated[QuantityEntry, _quantity("noise")]
-    resolution: Annotated[QuantityEntry, _quantity("resolution")]
-    range: tuple[FiniteFloat, FiniteFloat] | None = None
-    delay: Annotated[QuantityEntry | None, _quantity("delay")] = None
-    zero: Annotated[QuantityEntry | None, _quantity("zero")] = None
+
+def _description(component: type[Component], attribute: Attribute, kinds: Iterable[str]) -> str:
+    """Return the description of a field with the kinds that have it; that of the kind tells what each kind is."""
+    all_kinds = _kinds(component)
+    if attribute.name == "kind" and (registry := component.kinds) is not None:
+        each = " ".join(f'"{name}": {_first_line(registry.get(name))}' for name in all_kinds)
+        return f"{attribute.description} {each} Or a registered kind."
+    own = [kind for kind in all_kinds if kind in kinds]
+    if own == all_kinds:
+        return attribute.description
+    return f"{attribute.description} Only for the kind{'s'[: len(own) - 1]} {_quoted(own)}."
+
+
+def _first_line(kind: type) -> str:
+    """Return the first line of the docstring of a kind."""
+    return summary(kind).partition(". ")[0].rstrip(".") + "."
+
+
+def fields_of(component: type[Component], attribute: Attribute) -> dict[str, dict[str, list[Variant]]]:
+    """Return the variants of a component that have an attribute by its name in machine.json, then by their kind."""
+    fields: dict[str, dict[str, list[Variant]]] = {}
+    for (kind, _), variant in component.variants().items():
+        if attribute.name not in variant.absent:
+            fields.setdefault(variant.field(attribute.name), {}).setdefault(kind, []).append(variant)
+    return fields
+
+
+def _form(attribute: Attribute, variants: list[Variant]) -> tuple[Any, dict[str, Any]]:
+    """Return the type of a field that holds an attribute, and what else pydantic needs to know of it."""
+    declared = attribute.declared
+    if isinstance(declared, Numbers):
+        return dict[str, QuantityEntry], {}
+    if isinstance(declared, Number) and attribute.type is float:
+        units = [variant.unit(attribute.name, declared) for variant in variants]
+        return QuantityEntry, _limits([*units, *filter(None, [declared.older_unit])], declared.lower)
+    if isinstance(declared, Number) and attribute.type is int:
+        return int, {"ge": int(declared.lower), "le": int(declared.upper)}
+    if isinstance(declared, Text) and declared.form == "name":
+        return Name, {}
+    return dict[str, float] if get_origin(attribute.type) is Mapping else attribute.type, {}
+
+
+def _limits(units: Iterable[str], lower: float = POSITIVE) -> dict[str, Any]:
+    """Return the part of the JSON Schema that states units and sign of a quantity."""
+    properties: dict[str, Any] = {"unit": {"enum": list(dict.fromkeys(units))}}
+    if lower >= 0.0:
+        properties["value"] = {"exclusiveMinimum" if lower > 0.0 else "minimum": 0}
+    return {"json_schema_extra": {"properties": properties}}
+
+
+def _component_table(component: type[Component]) -> type[Table]:
+    """Create the table of a component in machine.json from the declarations of its attributes."""
+    fields: dict[str, Any] = {}
+    variants = component.variants().values()
+    for attribute in attributes(component).values():
+        for key, having in fields_of(component, attribute).items():
+            own = [variant for of_kind in having.values() for variant in of_kind]
+            needed = len(own) == len(variants) and not any(attribute.name in v.defaults for v in own)
+            form, info = _form(attribute, own)
+            required = attribute.presence == "required" and needed
+            text = _description(component, attribute, having)
+            fields[key] = (
+                (form, Field(description=text, **info))
+                if required
+                else (form | None, Field(default=None, description=text, **info))
+            )
+    for key, effect_field in EFFECT_FIELDS.get(component, {}).items():
+        quantity = effect_field.quantity
+        info = _limits([quantity.unit], quantity.lower) if quantity else {}
+        form = QuantityEntry if quantity else tuple[float, float]
+        fields[key] = (form | None, Field(default=None, description=effect_field.description, **info))
+    return create_model(f"{component.__name__}Entry", __base__=Table, __doc__=summary(component), **fields)
 
 
 class EffectEntry(Table):
@@ -267,7 +236,22 @@ class UncertaintyEntry(Table):
     """
 
     names: list[str]
-    covariance: list[list[FiniteFloat]]
+    covariance: list[list[float]]
+
+
+COMPONENTS: dict[str, type[Component]] = {
+    "coordinates": Coordinate,
+    "belts": Belt,
+    "drives": Drive,
+    "sensors": Sensor,
+}
+if TYPE_CHECKING:
+    CoordinateEntry: TypeAlias = Any
+    BeltEntry: TypeAlias = Any
+    DriveEntry: TypeAlias = Any
+    SensorEntry: TypeAlias = Any
+else:
+    CoordinateEntry, BeltEntry, DriveEntry, SensorEntry = map(_component_table, COMPONENTS.values())
 
 
 class MachineFile(Table):
@@ -297,7 +281,7 @@ class MachineFile(Table):
     drives: list[DriveEntry] = Field(min_length=1, max_length=_MAX_PARTS)
     sensors: list[SensorEntry] = Field(min_length=1, max_length=_MAX_PARTS)
     effects: list[EffectEntry] = Field(default=[], max_length=_MAX_PARTS)
-    ties: dict[str, tuple[str, FiniteFloat]] = {}
+    ties: dict[str, tuple[str, float]] = {}
     uncertainty: UncertaintyEntry | None = None
 
 
@@ -313,11 +297,26 @@ TABLES: tuple[type[Table], ...] = (
 )
 
 
+def fields(table: type[Table]) -> dict[str, FieldInfo]:
+    """Return the fields of one kind of object in machine.json by their names in the file."""
+    return {info.alias or name: info for name, info in table.model_fields.items()}
+
+
+def field_units(info: FieldInfo) -> tuple[str, ...]:
+    """Return the units that a quantity in machine.json may have; none for a field that holds no quantity.
+
+    Where there are two, the first is for linear coordinates and the second for rotary ones. Noise and resolution of a
+    sensor have the unit of what it measures.
+    """
+    extra: Any = info.json_schema_extra or {}
+    return tuple(extra.get("properties", {}).get("unit", {}).get("enum", ()))
+
+
 def field_descriptions(table: type[Table]) -> dict[str, str]:
     """Return the descriptions of the fields of one kind of object in machine.json, for example of a drive.
 
     The JSON Schema and docs/machine.md quote them. They are read from the `Attributes` sections of the docstrings of
-    the object's class and of `Table`.
+    the components, of the object's class and of `Table`.
 
     Args:
         table: Class of the object, such as `DriveEntry` or `SensorEntry`.
@@ -325,24 +324,8 @@ def field_descriptions(table: type[Table]) -> dict[str, str]:
     Returns:
         Description by name of the field in the file; the field `comment` is last.
     """
-    descriptions: dict[str, str] = {}
-    for documented in (table, Table):
-        _, _, section = (inspect.getdoc(documented) or "").partition("Attributes:\n")
-        entries = re.findall(r"^    (\S+): (.*(?:\n {8}.*)*)", section, re.MULTILINE)
-        descriptions |= {name: " ".join(text.split()) for name, text in entries}
-    return descriptions
-
-
-def table_summary(table: type[Table]) -> str:
-    """Return the description of one kind of object in machine.json, such as a drive, for the JSON Schema and the docs.
-
-    Args:
-        table: Class of the object, such as `DriveEntry` or `SensorEntry`.
-
-    Returns:
-        Text of the docstring before the section `Attributes`, in one line.
-    """
-    return " ".join((inspect.getdoc(table) or "").partition("Attributes:")[0].split())
+    declared = {name: info.description for name, info in fields(table).items() if info.description}
+    return declared | descriptions(table) | descriptions(Table)
 
 
 def machine_json_schema() -> dict[str, Any]:
@@ -358,10 +341,10 @@ def machine_json_schema() -> dict[str, Any]:
     definitions = schema.pop("$defs")
     for table in TABLES:
         definition = schema if table is MachineFile else definitions[table.__name__]
-        definition["description"] = table_summary(table)
-        descriptions = field_descriptions(table)
+        definition["description"] = summary(table)
+        described = field_descriptions(table)
         for name, field in definition["properties"].items():
             field.pop("title", None)
-            field["description"] = descriptions[name]
+            field["description"] = described[name]
     schema["title"] = "machine.json of hframe_gym"
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema, "$defs": definitions}

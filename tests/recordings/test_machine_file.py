@@ -111,6 +111,22 @@ def rename(path: list[Any], field: str, other: str) -> Callable[[dict[str, Any]]
             change(["drives", 0, "gear_ratio", "unit"], "rad/m"),
             "drives.motor1.gear_ratio: unit is 'rad/m', must be '1'",
         ),
+        (
+            change(["drives", 0, "current_limit"], {"value": 12.0, "unit": "mA"}),
+            "drives.motor1.current_limit: unit is 'mA', must be 'A'",
+        ),
+        (
+            change(["drives", 0, "supply"], "vbus_V"),
+            "drives.motor1.supply: a drive of the kind 'voltage' has none; delete it",
+        ),
+        (
+            change(["coordinates", 0, "radius"], {"value": 0.02, "unit": "m"}),
+            "coordinates.x.radius: a linear coordinate has none; delete it",
+        ),
+        (
+            change(["coordinates", 2, "radius", "value"], 1e31),
+            "coordinates.phi1.radius: 1e+31 must be positive, between 1e-30 and 1e+30",
+        ),
         (change(["schema"], 2), "schema"),
         (
             change(["effects"], [{"name": "magic", "site": "x", "parameters": {}}]),

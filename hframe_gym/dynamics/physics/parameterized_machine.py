@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
-from ...machine import AppliedEffect, Coordinate, Drive, Machine, argument_names
+from ...machine import AppliedEffect, Component, Machine, argument_names
 from ..symbolic.elementwise import named
 from ..symbolic.tracing import describe_formula_error
 from .effect_instances import effect_instances
@@ -92,12 +91,10 @@ class ParameterizedMachine:
         """Drives of the machine, in its order, as `machine.Drive` objects with the parameter values of this object."""
         return [self._with_values(d) for d in self.machine.drives]
 
-    def _with_values(self, component: Coordinate | Drive) -> Any:
+    def _with_values(self, component: Component) -> Any:
         """Return a component whose parameters may be arrays or expressions; its formulas work on them, too."""
-        values = {key: self.parameter(f"{component.name}.{key}") for key in component.parameter_names}
-        if isinstance(component, Drive):
-            return component.with_values(values)
-        return dataclasses.replace(component, **values)
+        values = {key: self.parameter(f"{component.label}.{key}") for key in component.parameter_names}
+        return component.with_values(values)
 
     def radius(self, i: int) -> Value:
         """Return the belt travel per unit of coordinate i: the radius of a pulley, m, or 1 for a linear one."""
