@@ -37,7 +37,7 @@ TRUTH: dict[int, tuple[DrawnEffect, ...]] = {
     3: (hidden("torque_saturation@drives"),),
     4: (),
     5: (hidden("input_delay@motor1"), hidden("input_delay@motor2")),
-    6: (hidden("gear backlash@phi1", "*play*"),),
+    6: (hidden("gear_backlash@motor1"), hidden("gear_backlash@motor2")),
     7: (hidden("dwell_friction@x"),),
     8: (hidden("stribeck_friction@x"),),
 }

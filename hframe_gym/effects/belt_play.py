@@ -4,19 +4,19 @@ from ..dynamics.elementwise import maximum, minimum
 from ..machine import Effect, EffectParameter
 
 
-def _beyond_play(s, d):  # type: ignore[no-untyped-def]
-    """Return the part of the extension that lies outside the play."""
+def beyond_play(s, d):  # type: ignore[no-untyped-def]
+    """Return the part of a distance s, m or rad, that lies outside a play of half width d, same unit."""
     return s - minimum(maximum(s, -d), d)
 
 
 def tension(s, k, d):  # type: ignore[no-untyped-def]
     """Return the tension k (s - clip(s, -d, d)), N; s: extension, m, k: stiffness, N/m, d: half the play, m."""
-    return k * _beyond_play(s, d)
+    return k * beyond_play(s, d)
 
 
 def energy_slope(s, d):  # type: ignore[no-untyped-def]
     """Return dE/dk of the belt energy E(s, k) at constant extension s, (s - clip(s, -d, d))^2 / 2, m^2; s, d: m."""
-    stretch = _beyond_play(s, d)
+    stretch = beyond_play(s, d)
     return 0.5 * stretch * stretch
 
 

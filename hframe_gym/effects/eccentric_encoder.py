@@ -1,4 +1,7 @@
-"""An encoder whose disk or magnet is off center: it measures r + A sin(r + p) instead of the angle r."""
+"""An encoder whose disk or magnet is off center: it measures r + A sin(r + p) instead of the angle r.
+
+An error of several periods per turn is `interpolation_error`.
+"""
 
 from ..dynamics.elementwise import sin
 from ..machine import Effect, EffectParameter, Machine

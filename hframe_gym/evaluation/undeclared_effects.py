@@ -10,8 +10,9 @@ log-uniform from `SMALLEST_SIZE` to 1 times its full size, which is what a used 
 parameters (wavelengths, phases) have the distributions of the table.
 
 Left out are effects that change the machine's structure (`bridge_yaw`, `idler_inertia`, `frame_resonance`,
-`payload_swing`), those that replace its friction law (`presliding`, `bouc_wen_hysteresis`), and those of the sensors'
-scale, skew and range, because they move the measured goal: no controller could then reach the true one.
+`payload_swing`, `gear_backlash`), those that replace its friction law (`presliding`, `bouc_wen_hysteresis`), and those
+of the sensors' scale, skew, range and periodic errors, because they move the measured goal: no controller could then
+reach the true one.
 """
 
 from __future__ import annotations

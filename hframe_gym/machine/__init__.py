@@ -37,9 +37,10 @@ from .declaration import (
 )
 from .diagram import draw_machine
 from .effect import HOOKS, AppliedEffect, Effect, EffectParameter, Hook, argument_names
-from .machine import Machine
+from .machine import Contact, Machine
 from .motion import (
     MotionLimits,
+    carried_through_contacts,
     motion_limits,
     observed_coordinates,
     pulley_names,
@@ -83,6 +84,7 @@ __all__ = [
     "BeltGeometry",
     "Box",
     "Component",
+    "Contact",
     "Coordinate",
     "CoordinateKind",
     "CoreXYGeometry",
@@ -110,6 +112,7 @@ __all__ = [
     "Variant",
     "argument_names",
     "attributes",
+    "carried_through_contacts",
     "declared_numbers",
     "descriptions",
     "draw_machine",

@@ -120,7 +120,7 @@ class Effect:
     delay               delay of the drive's voltage, s
     current             current of the drive, A                                      i, z, V, q, v, N, R
     torque              current that makes torque without the effect, A              i, q
-    tension             tension of a belt, N                                         s, rate, k
+    tension             tension of a belt, N                                         s, rate, k, per_radius
     energy_slope        derivative of the belt's energy by its stiffness, m^2        s, k
                         (default: s^2/2)
     belt_travel         belt travel that a pulley adds, m                            q, z, per_radius
@@ -147,8 +147,8 @@ class Effect:
       of its coordinate; N, R: its gear ratio and resistance, ohm; power: sum of V i by Ohm's law over the drives on
       which the effect acts, W; stall_power: this sum if they stood still, W. For `initial_spread`, i is the current at
       standstill and the rated voltage, level that of the coordinate at the site without effects. Belt: s, rate, k:
-      extension, m, its rate, m/s, stiffness, N/m. Sensor: r: ideal reading, m or rad; across: position of the other
-      linear coordinate, m.
+      extension, m, its rate, m/s, stiffness, N/m (per_radius only for a belt that `structure` adds behind a drive).
+      Sensor: r: ideal reading, m or rad; across: position of the other linear coordinate, m.
 
     Attributes:
         name: Unique name.
@@ -170,6 +170,10 @@ class Effect:
         against: Variable `u` of a tabulated effect: "position of y", "velocity of y", "path of y" or "time".
         coordinate: Name of the coordinate that `structure` adds, on which `force` acts, with "{site}" for that of the
             component; empty if none.
+        belt: Name of the belt section that `structure` adds, on which alone `tension` acts; "{site}" stands for the
+            effect's site. Its extension names the coordinates before and behind the contact that it stands for. Effects
+            at "belts" do not act on it. Empty if there is none.
+        half_gap: Name of the parameter that is half the gap of this contact, in the unit of the coordinate before it.
         requires: Name of the effect that must be in the model at the same site before a search adds this one; or empty.
         impacts: Whether parts collide, so that small changes of a parameter change the motion irregularly.
         range_ends: Names of the parameters that are the lowest and the highest measurement of a sensor, if the effect
@@ -213,6 +217,8 @@ class Effect:
     refitted: bool = False
     against: str = ""
     coordinate: str = ""
+    belt: str = ""
+    half_gap: str = ""
     impacts: bool = False
     requires: str = ""
     range_ends: tuple[str, str] | None = None
@@ -237,12 +243,13 @@ class Effect:
         further conditions `fits` and `fits_site` are not checked.
         """
         drives = tuple(d.name for d in machine.drives)
+        belts = _declared_belts(machine)
         return {
             "coordinate": machine.coordinate_names,
             "motor": drives,
             "drive": (*drives, "drives"),
             "drives": ("drives", *drives),
-            "belts": ("belts", *(b.name for b in machine.belts)) if machine.belts else (),
+            "belts": ("belts", *belts) if belts else (),
             "sensor": machine.output_channels,
             "machine": ("machine",),
         }[self.site]
@@ -314,6 +321,11 @@ class AppliedEffect:
         return self.definition.coordinate.format(site=self.site)
 
     @property
+    def added_belt(self) -> str:
+        """Name of the belt section that the effect adds to a machine, on which it acts; empty if there is none."""
+        return self.definition.belt.format(site=self.site)
+
+    @property
     def measuring_range(self) -> tuple[Any, Any] | None:
         """Lowest and highest measurement of the sensor, in its unit, if the effect limits them."""
         ends = self.definition.range_ends
@@ -323,15 +335,15 @@ class AppliedEffect:
         """Return the components of a machine on which the effect acts.
 
         They are all drives for the site "drives", all belts for "belts", and all coordinates for "machine";
-        but ("machine",) for an effect that adds components (`Effect.structure`).
+        but ("machine",) for an effect that adds components (`Effect.structure`), and the added belt, if there is one.
         """
         kind = self.definition.site
+        if self.definition.belt:
+            return (self.added_belt,)
         if kind == "machine":
             return ("machine",) if self.definition.structure else machine.coordinate_names
         drives = tuple(d.name for d in machine.drives)
-        names = {"drive": drives, "drives": drives, "belts": tuple(b.name for b in machine.belts)}.get(
-            kind, ()
-        )
+        names = {"drive": drives, "drives": drives, "belts": _declared_belts(machine)}.get(kind, ())
         # A component that is called "drives" or "belts" comes before all of them.
         return (self.site,) if self.site in names or not names else names
 
@@ -369,6 +381,12 @@ class AppliedEffect:
         function = getattr(self.definition, hook)
         values = {**quantities, **self.parameters}
         return function(*(values[name] for name in argument_names(function)))
+
+
+def _declared_belts(machine: Components) -> tuple[str, ...]:
+    """Return the names of a machine's belts without the contacts that effects added."""
+    added = {effect.added_belt for effect in machine.effects}
+    return tuple(b.name for b in machine.belts if b.name not in added)
 
 
 @lru_cache(maxsize=1024)

@@ -11,6 +11,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,6 +32,20 @@ from .components import (
 from .declaration import FIXED_UNITS, UNITS, Component, Variant, declared_numbers
 from .effect import AppliedEffect, SiteKind
 from .trajectory import SIMULATORS, Trajectory
+
+
+class Contact(NamedTuple):
+    """Contact of two coordinates whose stiffness is far above that of belts.
+
+    Attributes:
+        near: Name of the coordinate before it, on the drive's side.
+        far: Name of the coordinate behind it.
+        half_gap: Half the gap, m or rad: they touch where their positions differ by more.
+    """
+
+    near: str
+    far: str
+    half_gap: float
 
 
 @dataclass(frozen=True)
@@ -231,6 +246,16 @@ class Machine:
     def spring_loaded(self) -> tuple[str, ...]:
         """Names of the coordinates that effects add, such as bridge yaw; a spring centers each of them at zero."""
         return tuple(e.coordinate for e in self.effects if e.coordinate)
+
+    @cached_property
+    def contacts(self) -> tuple[Contact, ...]:
+        """Contacts that effects add between two coordinates, such as the teeth of a gear with backlash."""
+        extensions, contacts = {belt.name: belt.extension for belt in self.belts}, []
+        for effect in self.effects:
+            if effect.added_belt:
+                near, far = extensions[effect.added_belt]
+                contacts.append(Contact(near, far, effect.parameters[effect.definition.half_gap]))
+        return tuple(contacts)
 
     def other_axis(self, coordinate: str) -> str | None:
         """Return the one linear coordinate that remains if a coordinate is left out, such as y for x, or None."""

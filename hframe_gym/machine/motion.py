@@ -112,6 +112,25 @@ def rigid_motions(machine: Machine) -> dict[str, Array]:
     return motions
 
 
+def carried_through_contacts(machine: Machine, displacements: Array) -> Array:
+    """Return displacements in which what is behind a contact, such as the teeth of a gear, moves with its near side.
+
+    A displacement of one side alone would be a blow, because contacts are stiff.
+
+    Args:
+        machine: Machine with its coordinates.
+        displacements: Displacements of the coordinates, m or rad, or their rates, shape (n, coordinates).
+
+    Returns:
+        The displacements with those behind contacts replaced, shape (n, coordinates).
+    """
+    carried = np.array(displacements, float)
+    for contact in machine.contacts:
+        near, far = (machine.coordinate_names.index(name) for name in (contact.near, contact.far))
+        carried[:, far] = carried[:, near]
+    return carried
+
+
 @dataclass(frozen=True)
 class MotionLimits:
     """Inertia, force and speed along one rigid motion at rated voltage, for a plausibility check of a machine.

@@ -174,6 +174,12 @@ def _set_encoder_angles(machine: Machine, initial: InitialState, measured: Array
     for i, angle in _encoder_angles(machine, initial).items():
         if initial.zeros_refined or machine.coordinate_names[i] not in eccentric:
             positions[i] = angle
+    for (
+        contact
+    ) in machine.contacts:  # friction holds one side; belts pull the other as far as the gap permits
+        near, far = (machine.coordinate_names.index(name) for name in (contact.near, contact.far))
+        stretch = positions[near] - positions[far]
+        positions[far] = positions[near] - np.clip(stretch, -contact.half_gap, contact.half_gap)
 
 
 def _encoder_angles(machine: Machine, initial: InitialState) -> dict[int, float]:

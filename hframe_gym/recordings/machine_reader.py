@@ -361,12 +361,16 @@ class MachineReader:
             applied = definition.at(entry.site, **{key: q.value for key, q in entry.parameters.items()})
         except ValueError as error:
             raise self._error(field, str(error)) from None
-        needed = (applied.coordinate, definition.against.partition(" of ")[2])
-        absent = next((name for name in needed if name and name not in machine.coordinate_names), None)
-        if absent is not None:
-            raise self._error(
-                field, f"the effect needs a coordinate that is called {absent!r}; the file has none"
-            )
+        coordinates, belts = machine.coordinate_names, tuple(b.name for b in machine.belts)
+        for kind, needed, names in (
+            ("coordinate", applied.coordinate, coordinates),
+            ("coordinate", definition.against.partition(" of ")[2], coordinates),
+            ("belt", applied.added_belt, belts),
+        ):
+            if needed and needed not in names:
+                raise self._error(
+                    field, f"the effect needs a {kind} that is called {needed!r}; the file has none"
+                )
         if any(applied.label == other.label for other in machine.effects):
             raise self._error(field, f"declared twice at {entry.site}; delete one of the declarations")
         for key, quantity in entry.parameters.items():

@@ -181,6 +181,18 @@ _CASES = (
     Case("electrical_lag", "motor2", {"tau": 1.5e-3}, {"electrical_lag_s": (0.0, 1.5e-3)}),
     Case("input_delay", "drives", {"d": 2.3e-3}, {"input_delay_s": (2.3e-3, 2.3e-3)}),
     Case("belt_play", "belts", {"d": 0.15e-3}, {"belt_play_m": 0.15e-3}),
+    # The far side has 0.3 of the motor's inertia and friction, all viscous friction is on the motor's side.
+    Case(
+        "gear_backlash",
+        "motor1",
+        {"d": 2e-3, "J": 0.3 * Rig().mass[2], "F": 0.3 * Rig().coulomb[2], "K": 100.0},
+        {
+            "backlash_rad": (2e-3, 0.0),
+            "backlash_motor_fraction": 0.7,
+            "backlash_motor_viscous": 1.0,
+            "backlash_stiffness": 100.0,
+        },
+    ),
     Case("belt_damping", "belts", {"c": 1e-3}, {"belt_damping_s": 1e-3}),
     Case("belt_slack", "belts", {"T0": 15.0}, {"belt_pretension_N": 15.0}),
     Case("belt_hardening", "belts", {"h": 5e4}, {"belt_hardening": 5e4}),
@@ -211,6 +223,16 @@ _CASES = (
         "phi1_rad",
         {"A": 0.01, "p": 0.7},
         sensors={"wave": (0.01, 0.0, 0.0, 0.0), "wave_phase": (0.7, 0.0, 0.0, 0.0)},
+    ),
+    Case(
+        "interpolation_error",
+        "y_m",
+        {"A": 1e-4, "n": 2.0 * np.pi / 7e-3, "p": 0.7},
+        sensors={
+            "wave": (0.0, 0.0, 0.0, 1e-4),
+            "wave_period": (2.0 * np.pi, 2.0 * np.pi, 1.0, 7e-3),
+            "wave_phase": (0.0, 0.0, 0.0, 0.7),
+        },
     ),
     Case("sensor_range", "x_m", {"low": 0.077, "high": 0.083}, sensors={"range_x_m": (0.077, 0.083)}),
     Case("sensor_delay", "x_m", {"d": 2.3e-3}, sensors={"delay_s": (0.0, 0.0, 2.3e-3, 0.0)}),

@@ -10,7 +10,16 @@ import pytest
 
 from hframe_gym.effects import EFFECTS, effect_sites, get_effect
 from hframe_gym.effects.smooth_table import KNOTS
-from hframe_gym.machine import BUILTIN_MACHINES, HOOKS, UNITS, Effect, Machine, argument_names
+from hframe_gym.machine import (
+    BUILTIN_MACHINES,
+    HOOKS,
+    UNITS,
+    Contact,
+    Effect,
+    Machine,
+    argument_names,
+    carried_through_contacts,
+)
 from tests.effects.one_of_each import CASES, Case, history
 
 pytestmark = pytest.mark.unit
@@ -136,6 +145,23 @@ def test_components_of_shared_sites(hframe: Machine) -> None:
     axis = BUILTIN_MACHINES["axis"]()
     assert effect_sites(EFFECTS["input_delay"], axis) == ("drives",)
     assert effect_sites(EFFECTS["electrical_lag"], axis) == tuple(d.name for d in axis.drives)
+
+
+def test_teeth_of_a_gear_are_no_belt(hframe: Machine) -> None:
+    """Both gears may have a gap; effects at "belts" leave their teeth alone, and far sides follow displacements."""
+    gears = [
+        EFFECTS["gear_backlash"].at(m, **CASES["gear_backlash"].parameters) for m in ("motor1", "motor2")
+    ]
+    machine = hframe.with_effects(CASES["belt_damping"].effect, *gears)
+    assert machine.contacts == (Contact("phi1", "phi1_load", 2e-3), Contact("phi2", "phi2_load", 2e-3))
+    assert machine.effects[0].components(machine) == ("left", "right", "bottom")
+    assert effect_sites(EFFECTS["belt_play"], machine) == ("belts", "left", "right", "bottom")
+    assert effect_sites(EFFECTS["gear_backlash"], machine) == ()
+    assert machine.parameters["phi1.mass"] + gears[0].parameters["J"] == pytest.approx(
+        hframe.parameters["phi1.mass"]
+    )
+    moved = carried_through_contacts(machine, np.arange(6.0)[None])
+    np.testing.assert_array_equal(moved, [[0.0, 1.0, 2.0, 3.0, 2.0, 3.0]])
 
 
 def test_unknown_belt_is_refused(hframe: Machine) -> None:

@@ -55,6 +55,8 @@ STATE_SIZES = {
     "supply_sag": 0.2,
     "dwell_friction": 0.05,
 }
+# Of two coordinates at a gear, the simulator appends the motor's side and the package the far one.
+ORDER = {"gear_backlash": [0, 1, 4, 3, 2]}
 WIDE = {"belt_play": 2e-4, "belt_hardening": 2e-3}  # m, belt extension at which the effect is large
 
 
@@ -72,6 +74,9 @@ def random_points(
         if count == 10:  # the idlers
             travel[4:6], travel[6:8] = travel[2:4], (-xy[0] - travel[2], xy[0] - travel[3])
             travel[8:10] = -xy[0] - travel[4], xy[0] - travel[5]
+        for contact in machine.contacts:
+            near, far = (machine.coordinate_names.index(name) for name in (contact.near, contact.far))
+            travel[far] = travel[near]
         travel += stretch * rng.normal(size=count)
         speed = rng.uniform(0.01, 0.4, count) * rng.choice([-1.0, 1.0], count)
         scale = machine.travel_per_unit
@@ -132,9 +137,10 @@ def test_accelerations_and_rates_agree(case: Case, hframe: Machine) -> None:
         if case.name == "dwell_friction":
             state = abs(state)  # an age
         point = (q, v, volts, t, state)
-        expected = oracle_rates(case, *point)
+        order = ORDER.get(case.name, slice(None))
+        expected = oracle_rates(case, q[order], v[order], volts, t, state)
         accelerations, rate = own_rates(machine, case, *point)
-        wanted = expected[count : 2 * count]
+        wanted = expected[count : 2 * count][order]
         if case.name == "frame_resonance":
             wanted = np.append(wanted, expected[4 * count + 5])  # the rate of the frame's velocity
         if case.name == "payload_swing":

@@ -20,9 +20,8 @@ from tests.reference_simulator.sensors import noisy
 pytestmark = pytest.mark.oracle
 
 SEEDS = (21, 22, 23)
-POORLY_DETERMINED = {
-    ("frame_resonance", "s"): 0.1
-}  # tolerance; friction is a small part of the force on the frame
+# Tolerances. Friction is a small part of the force on the frame. Where in its gap a gear rests is not known.
+POORLY_DETERMINED = {("frame_resonance", "s"): 0.1, ("gear_backlash", "d"): 0.15e-3}
 
 
 def near(case: Case) -> dict[str, float]:

@@ -28,7 +28,10 @@ MORE = {
     "second harmonic": Rig(wave_force=(0.5, 0.0, 0.03, 0.0), wave_second=(0.2, 0.0, 0.15, 0.0)),
 }
 # What the Euler simulator lacks or has in another form.
-LACKING = ("idler_inertia", "frame_resonance", "dwell_friction", "torque_saturation", "commutation_ripple")
+LACKING = (
+    *("idler_inertia", "frame_resonance", "dwell_friction", "torque_saturation"),
+    *("commutation_ripple", "gear_backlash"),
+)
 ONE_OF_EACH = {n: dataclasses.replace(Rig(), **c.rig) for n, c in CASES.items() if c.rig and n not in LACKING}
 
 

@@ -160,3 +160,16 @@ def test_second_cogging_is_a_candidate_only_beside_cogging() -> None:
     assert "second_cogging@motor" in labels(
         AXIS.with_effects(EFFECTS["cogging"].at("motor", A=0.5, n=100.0, p=0.0))
     )
+
+
+def test_periodic_errors_of_a_sensor_start_from_its_errors() -> None:
+    """Not from the missing force of the coordinate, which may have other periods."""
+    data = axis_runs(AXIS, rows=1000, volts=6.0)
+    scales = TypicalScales({"x": {"force": 2.0, "speed": 0.5, "position": 0.2}}, {})
+    [channel] = AXIS.output_channels
+    missing = {"x": motion(100.0)[0][: sum(len(run.time_s) for run in data.runs)]}
+    state = SearchState(AXIS, data, scales, missing, sensor_errors={channel: motion(583.0)[0]})
+    first = next(c for c in candidates(state) if c.effect.name == "interpolation_error")
+    assert first.columns[0]["n"] == pytest.approx(583.0, rel=0.01)
+    unknown = SearchState(AXIS, data, scales, missing)
+    assert "interpolation_error" not in {c.effect.name for c in candidates(unknown)}

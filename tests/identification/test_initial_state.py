@@ -127,6 +127,17 @@ def test_an_eccentric_pulley_rests_where_the_simulator_has_it(hframe: Machine) -
     assert abs(measured[1] - rigid(position)[1]) > 20 * (e / RADIUS) ** 2
 
 
+@pytest.mark.parametrize(("stretch", "left"), [(5e-3, 3e-3), (-5e-3, -3e-3), (1e-3, 0.0)])
+def test_behind_a_gap_the_belts_bear_what_exceeds_it(hframe: Machine, stretch: float, left: float) -> None:
+    """The encoder measures the motor, which friction holds; half the gap is 2 mrad."""
+    position, angles = np.array([0.06, -0.03]), rigid(np.array([0.06, -0.03]))
+    machine = hframe.with_effects(EFFECTS["gear_backlash"].at("motor1", d=2e-3, J=4e-5, F=0.02, K=100.0))
+    initial = initial_at(position, angles + np.array([stretch, 0.0]), known=True)
+    state = model_initial_states(machine, [dataclasses.replace(initial, zeros_refined=True)])[0]
+    assert state[2] == pytest.approx(angles[0] + stretch)
+    assert state[machine.coordinate_names.index("phi1_load")] == pytest.approx(angles[0] + left, abs=1e-9)
+
+
 def test_zeros_are_refined_under_the_force_of_a_cable(hframe: Machine) -> None:
     """The common zero of the encoders was estimated as if the cable did not stretch the belts on average."""
     k, q0, wrong = 4.0, 0.2, np.array([2.4e-3, -1.1e-3])

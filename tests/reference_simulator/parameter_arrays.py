@@ -130,9 +130,13 @@ def parameter_arrays(rig: Rig) -> tuple[ParameterArrays, MeasuredCoordinates]:
     encoders = [2, 3]
     for j, half_gap in enumerate(rig.backlash_rad):
         if half_gap:
-            pulley, fraction = coordinates[2 + j], rig.backlash_motor_fraction
-            rotor = add(**{name: pulley[name] * fraction for name in ("mass", "viscous", "coulomb")})
-            for name in ("mass", "viscous", "coulomb"):
+            pulley, fractions = (
+                coordinates[2 + j],
+                dict.fromkeys(("mass", "coulomb"), rig.backlash_motor_fraction),
+            )
+            fractions["viscous"] = rig.backlash_motor_viscous
+            rotor = add(**{name: pulley[name] * fraction for name, fraction in fractions.items()})
+            for name, fraction in fractions.items():
                 pulley[name] *= 1.0 - fraction
             links.append((2 + j, rotor, rig.backlash_stiffness, 0.0, half_gap))
             encoders[j] = rotor

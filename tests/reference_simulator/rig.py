@@ -170,6 +170,7 @@ class Rig:
     backlash_motor_fraction: float = (
         0.6  # of the coordinate's inertia and friction, on the motor's side of the gap
     )
+    backlash_motor_viscous: float = 0.6  # the same of its viscous friction
 
     # Belts.
     eccentricity_m: PerDrive = (0.0, 0.0)  # e: belt travel r phi + e sin(phi + p)

@@ -118,6 +118,7 @@ SITES: dict[str, tuple[str, ...]] = {
     "sensor_skew": ("y_m",),
     "sensor_scale": ("x_m",),
     "eccentric_encoder": ("phi1_rad",),
+    "interpolation_error": ("y_m",),
     "sensor_range": ("x_m",),
     "sensor_delay": ("x_m",),
     "presliding": ("x", "phi1"),
@@ -127,6 +128,7 @@ SITES: dict[str, tuple[str, ...]] = {
     "frame_resonance": ("x",),
     "lugre": ("x",),
     "voltage_limit": ("motor1",),
+    "gear_backlash": ("motor1",),
 }
 PAIRS = (
     ("stribeck_friction@x", "input_delay@drives"),
@@ -189,7 +191,7 @@ def _outside() -> dict[str, tuple[tuple[str, ...], Build]]:
         "y rubs when x moves": (("smooth_friction[velocity of x]@y",), partial(y, friction_cross_speed=4.0)),
         "loose payload": (("payload_swing@y",), partial(change_fields, payload=Payload())),
         "soft frame": (("frame_resonance@x",), partial(change_fields, frame=Frame())),
-        "gear backlash": ((), partial(change_fields, backlash_rad=(0.012, 0.0))),
+        "gear backlash": (("gear_backlash@motor1",), partial(change_fields, backlash_rad=(0.012, 0.0))),
         "cable chain": (
             ("presliding@x", "dahl_hysteresis@x", "bouc_wen_hysteresis@x"),
             partial(x, hysteresis_force=4.0, hysteresis_travel=0.008),

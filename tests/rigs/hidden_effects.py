@@ -329,6 +329,10 @@ def effect(name: str, site: str, size: float) -> HiddenEffect:
         case "belt_play":
             half = size * 0.15e-3
             return _hidden(name, site, partial(change_fields, belt_play_m=half), {"d": half})
+        case "gear_backlash":
+            gap = size * 6e-3
+            values = tuple(gap if site == m else 0.0 for m in MOTORS)
+            return _hidden(name, site, partial(change_fields, backlash_rad=values), {"d": gap})
         case "belt_damping":
             damping = size * 1e-3
             return _hidden(name, site, partial(change_fields, belt_damping_s=damping), {"c": damping})
@@ -365,6 +369,12 @@ def effect(name: str, site: str, size: float) -> HiddenEffect:
             error = size * 0.02
             build = partial(change_site, sites=CHANNELS, site=site, wave=error, wave_phase=0.7)
             return _hidden(name, site, build, {"A": error, "p": 0.7})
+        case "interpolation_error":
+            error, period = 0.1e-3 * size, 7e-3
+            build = partial(
+                change_site, sites=CHANNELS, site=site, wave=error, wave_period=period, wave_phase=0.7
+            )
+            return _hidden(name, site, build, {"A": error, "n": 2.0 * np.pi / period})
         case "sensor_range":
             end = 0.16 - 0.11 * size  # full: the paper's 100 mm
             return _hidden(

@@ -411,14 +411,16 @@ FAMILIES: dict[str, Callable[[np.random.Generator], OutsideEffect]] = {
     "eddy brake": _eddy_brake,
     "gas spring": _gas_spring,
 }
-# The library has these by now; the effect eccentric_encoder is an error of one period per turn.
+# The library has these by now.
 IN_LIBRARY = frozenset(
     {
         "torque saturation",
         "supply sag",
         "winding heat",
+        "gear backlash",
         "dwell friction",
         "payload swing",
+        "scale interpolation",
         "eccentric encoder",
         "commutation ripple",
     }

@@ -83,9 +83,12 @@ class BeltEquations(ParameterizedMachine):
         k = named("stiffness", b, k)
         linear = k * s
         tension = linear
-        tension_effects = [e for _, e in self.effects_at("tension", name)]
-        for e in tension_effects:
-            tension = tension + (self.evaluate(e, "tension", {"s": s, "rate": rate, "k": k}) - linear)
+        tension_effects = list(self.effects_at("tension", name))
+        for j, e in tension_effects:
+            quantities = {"s": s, "rate": rate, "k": k}
+            if (i := self.instances[j].coordinate) >= 0:
+                quantities["per_radius"] = self.per_radius(i)
+            tension = tension + (self.evaluate(e, "tension", quantities) - linear)
         tension = named("tension", b, tension)
         if per_length is None:
             return BeltState(s, rate, k, tension, 0.0, tension)

@@ -59,7 +59,7 @@ def _moved_coordinate(effect: AppliedEffect, component: str, machine: Machine) -
     if effect.coordinate:
         return effect.coordinate
     if definition.site in ("motor", "drive", "drives"):
-        return machine.drive(component).coordinate
+        return machine.drive(effect.site if definition.belt else component).coordinate
     if definition.site == "machine":
         return component  # every coordinate, or the word "machine" of a structural effect
     if definition.site in ("sensor", "belts"):

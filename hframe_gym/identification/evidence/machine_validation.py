@@ -117,7 +117,10 @@ def _monotonic(machine: Machine, belt: Belt, reach: float) -> bool:
     tension = linear
     for effect in machine.effects:
         if effect.definition.tension and belt.name in effect.components(machine):
-            with_effect = effect("tension", s=extension, rate=np.zeros_like(extension), k=stiffness)
+            site = machine.coordinate_of_site(effect.site, effect.definition.site)
+            per_radius = 1.0 / machine.coordinate(site).travel_per_unit if site else 1.0
+            still = np.zeros_like(extension)
+            with_effect = effect("tension", s=extension, rate=still, k=stiffness, per_radius=per_radius)
             tension = tension + with_effect - linear
     return bool(np.all(np.diff(tension) >= -_FLAT * np.abs(linear).max()))
 

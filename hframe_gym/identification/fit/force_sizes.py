@@ -339,9 +339,9 @@ class TypicalScales:
     The keys are the units that effect parameters declare; `scales_of_motion` documents how the sizes are computed.
 
     Attributes:
-        by_coordinate: Sizes by coordinate and by key, in N, m/s and m or in Nm, rad/s and rad: "force", "speed",
-            "position", "viscous", "drag", "stiffness"; with a drive, also "voltage" (V), "A" (its current, A), "1/A^2",
-            "1/W".
+        by_coordinate: Sizes by coordinate and by key, in N, m/s and m or in Nm, rad/s and rad: "mass", "force",
+            "speed", "position", "viscous", "drag", "stiffness"; with a drive, also "voltage" (V), "A" (its current,
+            A), "1/A^2", "1/W".
         general: Sizes of the belts, by key: "m" (extension, m), "N" (force, N), "1/m^2" (1 / extension^2).
     """
 
@@ -355,8 +355,9 @@ class TypicalScales:
             coordinate: Name of the coordinate; any other text, such as "", gives the general sizes only.
 
         Returns:
-            Typical size, SI, by key: "force", "speed", "position", "viscous" (force / speed), "drag" (force / speed^2),
-            "stiffness" (force / position), "voltage", "A" (current). Belts: "m" (extension), "N" (force), "1/m^2".
+            Typical size, SI, by key: "mass", "force", "speed", "position", "viscous" (force / speed), "drag" (force /
+            speed^2), "stiffness" (force / position), "voltage", "A" (current). Belts: "m" (extension), "N" (force),
+            "1/m^2".
         """
         return {**self.general, **self.by_coordinate.get(coordinate, {})}
 
@@ -379,6 +380,7 @@ def scales_of_motion(
     Returns:
         by_coordinate: By coordinate, sizes by key, in N, m/s and m (linear) or in Nm, rad/s and rad (rotary):
 
+            - "mass": the machine's mass or moment of inertia.
             - "force": a tenth of the force of all drives together at standstill and rated voltage.
             - "speed": 99th percentile of its magnitude. "position": largest minus smallest position.
             - "viscous": force / speed. "drag": force / speed^2. "stiffness": force / position.
@@ -397,7 +399,7 @@ def scales_of_motion(
     for i, c in enumerate(machine.coordinates):
         drive = force * c.travel_per_unit  # N, or Nm: force at the belt times the pulley radius
         speed, distance = float(top_speed[i]), float(span[i])
-        by_coordinate[c.name] = {"force": drive, "speed": speed, "position": distance}
+        by_coordinate[c.name] = {"mass": c.mass, "force": drive, "speed": speed, "position": distance}
         by_coordinate[c.name] |= {
             "viscous": drive / speed,
             "drag": drive / speed**2,

@@ -401,6 +401,35 @@ def missing_force(machine: Machine, data: Dataset, cutoff: float = _RESIDUAL_CUT
     return {name: by_coordinate[:, i] for i, name in enumerate(machine.coordinate_names)}
 
 
+def sensor_errors(machine: Machine, data: Dataset) -> dict[str, Array]:
+    """Return what an observer has not corrected yet of the errors of sensors of positions, together with the motion.
+
+    Errors that change faster than the bandwidth of the observer (60 rad/s; 25 rad/s of lasers beside encoders) are
+    complete; slower ones it follows.
+
+    Args:
+        machine: Machine that predicts.
+        data: Measured runs with n rows in total (times, voltages, measurements, SI).
+
+    Returns:
+        By channel, an array of shape (n, 3) with the columns position and velocity of the coordinate that the sensor
+        mainly measures, m, m/s or rad, rad/s, and measured minus predicted value, in the sensor's unit.
+    """
+    channels = {s.channel: j for j, s in enumerate(machine.sensors) if s.of_position}
+    coordinates = [machine.coordinate_names.index(machine.sensors[j].coordinate) for j in channels.values()]
+
+    def of_run(run: PreparedRecording) -> Array:
+        start = start_for_observer(machine, run, data)
+        motion = predict(machine, run, SEARCH_BANDWIDTH, period=data.period, initial_state=start, states=True)
+        errors = _innovation(motion.readings, machine, run, start)[0][:, list(channels.values())]
+        return np.stack(
+            [motion.positions[0][:, coordinates], motion.velocities[0][:, coordinates], errors], axis=2
+        )
+
+    by_channel = np.concatenate(list(map_runs(of_run, data)))  # (n, channels, 3)
+    return {channel: by_channel[:, k] for k, channel in enumerate(channels)}
+
+
 def _inverted(
     correcting: Array, observed: _ObservedForces, run: PreparedRecording, data: Dataset, cutoff: float
 ) -> Array:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from ...distributed import single_threaded_linear_algebra
 from ...dynamics import resolved_step, simulate_batch
 from ...dynamics.simulation import Motion, threads
-from ...machine import Machine
+from ...machine import Machine, carried_through_contacts
 from ...preparation.dataset import Dataset, PreparedRecording
 from ...preparation.sensor_zeros import max_fitted_zero_means, max_zero_means, sensor_zero_error
 from ...preparation.voltage_updates import at_updates, update_times, updated_inputs
@@ -114,7 +114,7 @@ def observer_gains(machine: Machine, period: float, bandwidth: float = SEARCH_BA
     """Return the gains of the Luenberger observer that feeds measurements back into a prediction.
 
     Each sensor of a position corrects its coordinate by an observer of second order with two equal poles at the
-    bandwidth; one of a speed corrects the velocity, with one pole.
+    bandwidth; one of a speed corrects the velocity, with one pole. What is behind the teeth of a gear moves with it.
 
     Args:
         machine: Machine whose sensors are fed back.
@@ -139,7 +139,7 @@ def observer_gains(machine: Machine, period: float, bandwidth: float = SEARCH_BA
             gains[count + i, j] = rate**2 / period / sensor.row[name]
         else:
             gains[count + i, j] = 2 * rate / sensor.row[name]
-    return gains
+    return np.vstack([carried_through_contacts(machine, half.T).T for half in np.split(gains, 2)])
 
 
 def predict(

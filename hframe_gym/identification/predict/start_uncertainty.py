@@ -18,7 +18,7 @@ from scipy.linalg import null_space
 
 from ...dynamics import Equations
 from ...dynamics.simulation import Motion, parameter_batch
-from ...machine import Machine
+from ...machine import Machine, carried_through_contacts
 from ...preparation.belt_stretch import linear_coordinates, rigid_basis, stretch_angles, vibration_speeds
 from ...preparation.dataset import Dataset, PreparedRecording
 from ...preparation.initial_state import model_initial_states
@@ -119,6 +119,7 @@ def _position_displacements(machine: Machine, initial: InitialState, held_angles
     stretches = np.zeros((len(held_angles), len(machine.coordinates)))
     for k, (name, angle) in enumerate(held_angles.items()):
         stretches[k, machine.coordinate_names.index(name)] = max(angle, spreads.get(name, 0.0))
+    stretches = carried_through_contacts(machine, stretches)
     if not held_angles or initial.lasers_measured:
         return stretches
     return np.vstack([stretches, _rigid_displacements(machine, initial, held_angles)])
@@ -133,9 +134,10 @@ def _velocity_displacements(machine: Machine, initial: InitialState) -> Array:
     if not len(rigid):
         return np.zeros((0, count))
     speeds = vibration_speeds(machine)
-    vibrations = [machine.coefficients({name: 1.0}) * speed for name, speed in speeds.items()]
+    vibrations = np.array([machine.coefficients({name: 1.0}) * speed for name, speed in speeds.items()])
+    vibrations = carried_through_contacts(machine, vibrations.reshape(-1, count))
     # `rigid` lacks the coordinates of structural effects, which are the last ones.
-    return np.vstack([np.pad(rigid, ((0, 0), (0, count - rigid.shape[1]))), *vibrations])
+    return np.vstack([np.pad(rigid, ((0, 0), (0, count - rigid.shape[1]))), vibrations])
 
 
 def _added_displacements(machine: Machine) -> Array:

@@ -8,7 +8,7 @@ them, and only the best are fitted.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from ...preparation.dataset import Dataset
 from ...registry import Registry
 from ..fit.estimation import Fit
 from ..fit.force_sizes import SESSION, TypicalScales, typical_scales
-from ..fit.residual import missing_force
+from ..fit.residual import missing_force, sensor_errors
 from ..predict.free_parameters import FreeParameter
 from ..predict.prediction import SEARCH_BANDWIDTH
 from .periodogram import MIN_FORCE_PERIODS, MIN_FRICTION_PERIODS
@@ -113,6 +113,9 @@ class SearchState:
         missing_force: By coordinate name, an array of shape (n, 3) over all rows of all runs with the columns position,
             velocity and missing force (the force that the model lacks): m, m/s, N or rad, rad/s, Nm.
         slow: Whether a narrow observer shows errors that change slowly.
+        sensor_errors: By channel of the sensors of positions, an array of shape (n, 3) with the columns position,
+            velocity and error of the sensor (`residual.sensor_errors`); without a channel, periodic errors of that
+            sensor are no candidates.
     """
 
     machine: Machine
@@ -120,6 +123,7 @@ class SearchState:
     scales: TypicalScales
     missing_force: Mapping[str, Array]
     slow: bool = False
+    sensor_errors: Mapping[str, Array] = field(default_factory=dict)
 
     @classmethod
     def of(cls, fitted: Fit, data: Dataset) -> SearchState:
@@ -130,10 +134,11 @@ class SearchState:
             data: Prepared recordings that are fitted (times, voltages, measurements).
 
         Returns:
-            State with the missing force of each coordinate, shape (n, 3).
+            State with the missing force of each coordinate and the errors of each sensor, shape (n, 3) each.
         """
         scales, missing = typical_scales(fitted, data), missing_force(fitted.machine, data)
-        return cls(fitted.machine, data, scales, missing, slow=fitted.bandwidth < SEARCH_BANDWIDTH)
+        slow, errors = fitted.bandwidth < SEARCH_BANDWIDTH, sensor_errors(fitted.machine, data)
+        return cls(fitted.machine, data, scales, missing, slow, errors)
 
     def sites(self, effect: Effect) -> tuple[str, ...]:
         """Return the sites at which the machine may lack an effect, and where a strategy may propose it.
@@ -157,7 +162,13 @@ class SearchState:
         return _scales_at(effect, site, self.machine, self.scales)
 
     def motion(self, effect: Effect, site: str) -> Array:
-        """Return the rows of `missing_force` at the coordinate on which an effect at a site acts, shape (n, 3)."""
+        """Return the rows of what an effect at a site may explain, shape (n, 3), without rows if they are not known.
+
+        They are those of `sensor_errors` for an effect of a sensor, otherwise those of `missing_force` at the
+        coordinate on which it acts.
+        """
+        if effect.site == "sensor":
+            return self.sensor_errors.get(site, np.zeros((0, 3)))
         return self.missing_force[self.machine.coordinate_of_site(site, effect.site) or ""]
 
     def covers(self, effect: Effect, site: str, values: Mapping[str, float]) -> bool:

@@ -26,7 +26,7 @@ from ...dynamics.physics.motion_forces import ohmic_currents
 from ...dynamics.simulation import Motion, parameter_batch
 from ...effects import EFFECTS, effect_sites
 from ...effects.smooth_table import TABLE_FAMILY
-from ...machine import AppliedEffect, Effect, Machine
+from ...machine import UNITS, AppliedEffect, Effect, Machine
 from ...preparation.dataset import Dataset, PreparedRecording
 from ..budget import spender
 from ..fit.estimation import Fit
@@ -371,10 +371,14 @@ def _variants(effect: Effect, site: str, machine: Machine, scale: TypicalScales)
 
 
 def _starting_values(effect: Effect, typical: Mapping[str, float]) -> list[dict[str, float]]:
-    """Return the grid of an effect's starting values, within bounds; those of structural effects are absolute, SI."""
+    """Return the grid of an effect's starting values, within bounds.
+
+    They are multiples of typical values, but absolute, SI, for structural effects where the unit is not of the site.
+    """
     grids = []
     for p in effect.parameters:
-        scale = 1.0 if effect.structure else typical.get(p.unit, 1.0)
+        absolute = effect.structure is not None and p.unit not in UNITS["linear"]
+        scale = 1.0 if absolute else typical.get(p.unit, 1.0)
         grids.append(sorted({min(max(g * scale, p.lower), p.upper) for g in p.grid}))
     names = [p.name for p in effect.parameters]
     return [dict(zip(names, values, strict=True)) for values in itertools.product(*grids)]

@@ -1,7 +1,8 @@
 """Propose every effect of the library at every site, with several starting values.
 
 The library gives starting values relative to typical sizes (0.3 of the typical force, a tenth of the top speed). Those
-of periods are the peaks of a periodogram of the missing force, the force that the model lacks.
+of periods are the peaks of a periodogram of the missing force, the force that the model lacks, or of the errors of a
+sensor.
 """
 
 from __future__ import annotations
@@ -52,11 +53,13 @@ def _starting_values(effect: Effect, site: str, state: SearchState) -> list[Mapp
 
 
 def _rates(effect: Effect, site: str, state: SearchState) -> Array:
-    """Return the strongest spatial rates of the missing force, shape (rates,), in rad per unit of the position.
+    """Return the strongest spatial rates of missing force or sensor error, (rates,), rad per unit of the position.
 
     Friction that varies slowly over the position may hide in its noise, and starts from a grid as well.
     """
     motion = state.motion(effect, site)
+    if not len(motion):
+        return np.zeros(0)
     rates = periodogram_peaks(motion, state.data.period, factor=_factor(effect, site, state))
     if state.slow and effect.coulomb:
         rates = np.concatenate([rates, slow_rates(motion[:, 0])])

@@ -1,0 +1,101 @@
+"""Backlash of the gear between a motor, whose angle the encoder measures, and the pulley or load behind it.
+
+The coordinate of the drive becomes the motor's side of the gap; the belts act on a coordinate behind it, with the
+inertia J and the dry friction F, which the motor's side loses. The teeth have the stiffness K and push where the
+angles of both sides differ by more than d, half the gap.
+"""
+
+import dataclasses
+from collections.abc import Mapping
+
+from ..machine import AppliedEffect, Belt, Coordinate, Effect, EffectParameter, Machine
+from .belt_play import beyond_play
+
+_LEAST_SHARE = 0.2  # of inertia and friction that remains before the gap
+
+
+def tension(s, k, d, per_radius):  # type: ignore[no-untyped-def]
+    """Return the force of the teeth, k (s - clip(s, -d r, d r)), N.
+
+    s: motor's side minus far side, m, k: stiffness, N/m, d: half the gap, rad or m, per_radius: 1/r, 1/m.
+    """
+    return k * beyond_play(s, d / per_radius)
+
+
+def _names(machine: Machine, site: str) -> tuple[str, str, str]:
+    """Return the names of a drive's coordinate, of the coordinate behind the gap, and of the teeth."""
+    near = machine.drive(site).coordinate
+    return near, f"{near}_load", EFFECT.belt.format(site=site)
+
+
+def fits(machine: Machine) -> bool:
+    """Return whether belts carry the force of a drive on: behind the gap of a motor alone, nothing is measured."""
+    return bool(machine.belts)
+
+
+def fits_site(machine: Machine, site: str) -> bool:
+    """Return whether belts run on the coordinate of a drive, no other drive moves it, and the names are not in use."""
+    near, far, teeth = _names(machine, site)
+    drives = [d for d in machine.drives if d.coordinate == near]
+    on_belts = any(near in b.extension for b in machine.belts)
+    free = far not in machine.coordinate_names and teeth not in (b.name for b in machine.belts)
+    return len(drives) == 1 and on_belts and free and f"{near}.mass" not in machine.ties
+
+
+def structure(machine: Machine, effect: AppliedEffect) -> Machine:
+    """Add the coordinate behind the gap and the teeth, and let the belts run on the new coordinate.
+
+    Its inertia and dry friction and the stiffness of the teeth are tied to J, F and K; it has no viscous friction.
+    """
+    near, far, teeth = _names(machine, effect.site)
+    whole, values = machine.coordinate(near), effect.parameters
+    motor = dataclasses.replace(
+        whole,
+        mass=max(whole.mass - values["J"], _LEAST_SHARE * whole.mass),
+        coulomb=max(whole.coulomb - values["F"], _LEAST_SHARE * whole.coulomb),
+    )
+    load = Coordinate(far, values["J"], 0.0, values["F"], kind=whole.kind, radius=whole.radius)
+    per_travel = 1.0 / whole.travel_per_unit**2
+    ties = {
+        f"{far}.mass": (f"{effect.label}.J", 1.0),
+        f"{far}.viscous": (f"{effect.label}.F", 0.0),
+        f"{far}.coulomb": (f"{effect.label}.F", 1.0),
+        f"{far}.radius": (f"{near}.radius", 1.0),
+        f"{teeth}.EA": (f"{effect.label}.K", per_travel),
+    }
+
+    def behind(row: Mapping[str, float]) -> dict[str, float]:
+        return {far if name == near else name: factor for name, factor in row.items()}
+
+    belts = [
+        dataclasses.replace(b, extension=behind(b.extension), length=behind(b.length)) for b in machine.belts
+    ]
+    belts.append(Belt(teeth, values["K"] * per_travel, 1.0, {near: 1.0, far: -1.0}))
+    return dataclasses.replace(
+        machine,
+        coordinates=(*(motor if c.name == near else c for c in machine.coordinates), load),
+        belts=tuple(belts),
+        ties={**machine.ties, **ties},
+    )
+
+
+EFFECT = Effect(
+    name="gear_backlash",
+    family="gear_backlash",
+    site="motor",
+    belt="{site}_teeth",
+    half_gap="d",
+    formula="J far'' + F sign(far') = K (s - clip(s, -d, d)) - belts, s = motor - far",
+    source="Nordin and Gutman 2002, Automatica 38(10), the dead-zone model",
+    tension=tension,
+    structure=structure,
+    fits=fits,
+    fits_site=fits_site,
+    impacts=True,
+    parameters=(
+        EffectParameter("d", "position", 0.0, 1.0, scale=1e-4, grid=(1e-4, 5e-4)),
+        EffectParameter("J", "mass", 1e-12, 1e3, scale=0.1, grid=(0.05, 0.4)),
+        EffectParameter("F", "force", 0.0, 1e3, scale=0.1, grid=(0.01,)),
+        EffectParameter("K", "stiffness", 1e-6, 1e12, scale=1e4, grid=(2e4,)),
+    ),
+)
