@@ -204,15 +204,16 @@ def test_new_asks_on_a_terminal(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "typed", "sensors"),
+    ("like", "given", "typed", "sensors"),
     [
-        ({"like": "corexy", "encoder_lines": 0}, [], ["x_m", "y_m"]),
-        ({"like": "axis", "linear_sensor": False}, [0, 400], ["x_m"]),
-        ({"like": "hframe", "linear_sensor": False}, [0, 400], ["phi1_rad", "phi2_rad"]),
+        ("corexy", {"encoder_lines": 0}, [], ["x_m", "y_m"]),
+        ("axis", {"linear_sensor": False}, [0, 400], ["x_m"]),
+        ("hframe", {"linear_sensor": False}, [0, 400], ["phi1_rad", "phi2_rad"]),
     ],
     ids=["no encoders", "the template has no encoders", "the template has encoders"],
 )
 def test_an_answer_that_leaves_no_sensor_is_asked_for_again(
+    like: str,
     given: dict[str, Any],
     typed: list[int],
     sensors: list[str],
@@ -231,9 +232,9 @@ def test_an_answer_that_leaves_no_sensor_is_asked_for_again(
 
     monkeypatch.setattr(machine_questions.typer, "prompt", prompt)
     monkeypatch.setattr(machine_questions.typer, "confirm", lambda text, default: next(confirmed))
-    answers = machine_questions.MachineAnswers(out=tmp_path / "m.json", **given)
+    answers = machine_questions.MachineAnswers(like, tmp_path / "m.json", given=given)
     options = machine_questions.ask(answers, said.append).options()
-    assert [s.channel for s in machine_questions.new_machine(given["like"], "m", options).sensors] == sensors
+    assert [s.channel for s in machine_questions.new_machine(like, "m", options).sensors] == sensors
     assert sum(line.startswith("no sensor is left") for line in said) == 1
 
 

@@ -12,12 +12,9 @@ from ..errors import InputError
 from ..identification.report.units import readable_unit
 from ..machine import Machine, motion_limits
 from ..recordings import (
-    TEMPLATE_QUESTIONS,
     TEMPLATES,
-    MachineOptions,
     implausible_values,
-    new_machine,
-    template_value,
+    template_questions,
 )
 from ..web_page import number
 from .session import CONTROL, EXPORTS, FINDINGS, MACHINE, RESULT, RUNS, new_machine_command
@@ -26,17 +23,6 @@ from .stage_drawing import drawing_of
 
 _MODES = 3  # natural frequencies that the table lists
 _OF_MACHINE = (RUNS, FINDINGS, RESULT, CONTROL, EXPORTS)  # what belongs to one machine
-_KINDS = {
-    "hframe": "H-frame, one belt for both motors",
-    "axis": "One axis",
-    "belt-axis": "One axis with a belt",
-    "corexy": "CoreXY, a belt for each motor",
-    "printer": "CoreXY printer with stepper motors",
-    "motor": "Motor",
-    "pendulum": "Pendulum on a motor",
-    "wheel": "Wheel with a gear motor",
-    "servo": "Servo",
-}
 
 
 class StageView(Element, component="stage_view.js"):
@@ -89,15 +75,14 @@ class MachineStage(Stage):
         if machine is not None:
             _show_machine(machine)
         heading("Another machine" if machine is not None else "Your machine")
-        kinds = {**{name: name for name in TEMPLATES}, **{k: v for k, v in _KINDS.items() if k in TEMPLATES}}
+        kinds = {name: template.title for name, template in TEMPLATES.items()}
         with ui.element("div").classes("hf-row"):
             kind = ui.radio(kinds, value=self._like, on_change=lambda event: self._choose(event.value))
             kind.props('inline aria-label="Kind of machine"')
         with ui.element("div").classes("hf-fields"):
-            template = new_machine(self._like, "template", MachineOptions())
-            for option, question, templates in TEMPLATE_QUESTIONS:
-                if self._like in templates:
-                    self._field(option.replace("_", "-"), question, str(template_value(template, option)))
+            for question in template_questions(self._like):
+                if not isinstance(question.default, bool):  # the machine keeps its linear sensors
+                    self._field(question.option.replace("_", "-"), question.text, str(question.default))
         self.command_box()
         with ui.expansion("Use a machine.json that you have").classes("w-full"):
             upload = ui.upload(label="Drop a machine.json here, or choose it with +", auto_upload=True)

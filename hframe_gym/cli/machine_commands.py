@@ -162,22 +162,21 @@ def new_machine_file(
     """
     from .machine_questions import MachineAnswers, create_machine_file
 
-    answers = MachineAnswers(
-        like=like,
-        out=out,
-        name=name,
-        travel=travel,
-        mass=mass,
-        pulley_radius=pulley_radius,
-        gear_ratio=gear_ratio,
-        rotor_inertia=rotor_inertia,
-        Kt=torque_constant,
-        resistance=resistance,
-        rated_voltage=rated_voltage,
-        encoder_lines=encoder_lines,
-        linear_sensor=linear_sensor,
-        values=tuple(values or ()),
-    )
+    options = {
+        "travel": travel,
+        "mass": mass,
+        "pulley_radius": pulley_radius,
+        "gear_ratio": gear_ratio,
+        "rotor_inertia": rotor_inertia,
+        "Kt": torque_constant,
+        "resistance": resistance,
+        "rated_voltage": rated_voltage,
+        "encoder_lines": encoder_lines,
+        "linear_sensor": linear_sensor,
+        "values": values,
+    }
+    given = {name: value for name, value in options.items() if value not in ("", None)}
+    answers = MachineAnswers(like, out, name, given)
     create_machine_file(answers, force=force, log=log)
 
 

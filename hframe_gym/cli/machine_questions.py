@@ -6,9 +6,10 @@ import dataclasses
 import math
 import re
 import sys
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import typer
 
@@ -16,51 +17,35 @@ from ..errors import InputError
 from ..machine import Machine, motion_limits
 from ..operating_system import quoted
 from ..recordings import (
-    TEMPLATE_QUESTIONS,
     TEMPLATES,
-    WITH_CARRIAGES,
     MachineOptions,
+    TemplateQuestion,
     new_machine,
-    template_value,
+    template_questions,
     write_machine_template,
 )
 
 
 @dataclass(frozen=True)
 class MachineAnswers:
-    """Values of the options of `hframe machines new`; what is not given is empty or None.
+    """Values of the options of `hframe machines new`; what is not given is empty or missing.
 
     Attributes:
         like: Name of the template.
         out: File to write.
         name: Name of the machine.
-        travel: Travel along the axes, m, separated by commas.
-        mass: Moving masses along the axes, kg, separated by commas.
-        pulley_radius: Pitch radius of the motors' pulleys, m.
-        gear_ratio: Turns of the motor per turn of the pulley.
-        rotor_inertia: Moment of inertia of a rotor, kg m^2.
-        Kt: Torque constant, Nm/A.
-        resistance: Resistance of a motor, ohm.
-        rated_voltage: Rated voltage, V.
-        encoder_lines: Lines of the encoders; 0 for none.
-        linear_sensor: Whether sensors measure x and y.
-        values: Further values as texts "PARAMETER=VALUE", SI.
+        given: Values by name in `MachineOptions`; those of `travel` and `mass` are texts with one value per axis,
+            separated by commas, those of `values` texts "PARAMETER=VALUE", SI.
     """
 
     like: str = ""
     out: Path | None = None
     name: str = ""
-    travel: str = ""
-    mass: str = ""
-    pulley_radius: float | None = None
-    gear_ratio: float | None = None
-    rotor_inertia: float | None = None
-    Kt: float | None = None
-    resistance: float | None = None
-    rated_voltage: float | None = None
-    encoder_lines: int | None = None
-    linear_sensor: bool | None = None
-    values: tuple[str, ...] = ()
+    given: Mapping[str, Any] = field(default_factory=dict)
+
+    def with_answer(self, option: str, answer: object) -> MachineAnswers:
+        """Return the answers with the value of one more option."""
+        return dataclasses.replace(self, given={**self.given, option: answer})
 
     def options(self) -> MachineOptions:
         """Convert the answers, which are partly texts, to the options of `new_machine`.
@@ -68,28 +53,14 @@ class MachineAnswers:
         Raises:
             InputError: If a text is not a number, or does not have the form PARAMETER=VALUE.
         """
-        plain = (
-            "pulley_radius",
-            "gear_ratio",
-            "rotor_inertia",
-            "Kt",
-            "resistance",
-            "rated_voltage",
-            "encoder_lines",
-        )
         values = {}
-        for text in self.values:
+        for text in self.given.get("values", ()):
             parameter, separator, value = text.partition("=")
             if not separator:
                 raise InputError(f"--set {text}: write PARAMETER=VALUE, for example x.coulomb=2")
             values[parameter.strip()] = _number("set", value)
-        return MachineOptions(
-            travel=_numbers("travel", self.travel),
-            mass=_numbers("mass", self.mass),
-            linear_sensor=self.linear_sensor is not False,
-            values=values,
-            **{name: getattr(self, name) for name in plain},
-        )
+        lists = {name: _numbers(name, self.given[name]) for name in ("travel", "mass") if name in self.given}
+        return MachineOptions(**{**self.given, **lists, "values": values})
 
 
 def create_machine_file(answers: MachineAnswers, force: bool, log: Callable[[str], None]) -> None:
@@ -165,7 +136,7 @@ def ask(answers: MachineAnswers, log: Callable[[str], None], force: bool = False
             like = ""
     answers = dataclasses.replace(answers, like=like)
     # Refuses wrong options before the first question. Encoders that no option gives can still be answered.
-    lines_given = answers.encoder_lines is not None
+    lines_given = "encoder_lines" in answers.given
     new_machine(like, "template", (answers if lines_given else _with_linear_sensor(answers)).options())
     while answers.out is None:
         path = Path(typer.prompt("File to write", default=f"my_{like}.json"))
@@ -174,30 +145,31 @@ def ask(answers: MachineAnswers, log: Callable[[str], None], force: bool = False
             log(f"{path}: {obstacle}")
         else:
             answers = dataclasses.replace(answers, out=path)
-    for option, question, templates in TEMPLATE_QUESTIONS:
-        if like in templates and getattr(answers, option) in ("", None):
-            answers = _ask_value(answers, option, question, log)
-    while answers.linear_sensor is None and like in WITH_CARRIAGES:
-        axes = "x and y" if like in ("hframe", "corexy") else "x"
-        measured = typer.confirm(f"Does a sensor measure {axes} directly?", default=True)
-        trial = dataclasses.replace(answers, linear_sensor=measured)
+    questions = {question.option: question for question in template_questions(like)}
+    for option, question in questions.items():
+        if option not in answers.given and option != "linear_sensor":
+            answers = _ask_value(answers, question, log)
+    while "linear_sensor" in questions and "linear_sensor" not in answers.given:
+        trial = answers.with_answer(
+            "linear_sensor", typer.confirm(questions["linear_sensor"].text, default=True)
+        )
         if _is_usable(trial, log):
             answers = trial
         elif not lines_given:
-            option, question, _ = TEMPLATE_QUESTIONS[-1]
-            answers = _ask_value(dataclasses.replace(answers, encoder_lines=None), option, question, log)
+            others = {name: value for name, value in answers.given.items() if name != "encoder_lines"}
+            answers = _ask_value(dataclasses.replace(answers, given=others), questions["encoder_lines"], log)
     return answers
 
 
 def _ask_value(
-    answers: MachineAnswers, option: str, question: str, log: Callable[[str], None]
+    answers: MachineAnswers, question: TemplateQuestion, log: Callable[[str], None]
 ) -> MachineAnswers:
     """Ask for the value of an option until it can be used, and return the answers with it."""
-    default = template_value(new_machine(answers.like, "template", MachineOptions()), option)
+    option, default = question.option, question.default
     while True:
-        answer = typer.prompt(question, default=default, type=type(default))
+        answer = typer.prompt(question.text, default=default, type=type(default))
         # The template's value stays, to the last digit.
-        answered = answers if answer == default else dataclasses.replace(answers, **{option: answer})
+        answered = answers if answer == default else answers.with_answer(option, answer)
         # Whether a sensor is left shows with the last value, the encoders.
         if _is_usable(answered if option == "encoder_lines" else _with_linear_sensor(answered), log):
             return answered
@@ -205,7 +177,7 @@ def _ask_value(
 
 def _with_linear_sensor(answers: MachineAnswers) -> MachineAnswers:
     """Return answers with sensors that measure x and y."""
-    return dataclasses.replace(answers, linear_sensor=True)
+    return answers.with_answer("linear_sensor", True)
 
 
 def _is_usable(answers: MachineAnswers, log: Callable[[str], None]) -> bool:
@@ -218,9 +190,9 @@ def _is_usable(answers: MachineAnswers, log: Callable[[str], None]) -> bool:
     return True
 
 
-def _numbers(option: str, text: str) -> tuple[float, ...] | None:
-    """Return the numbers of a text separated by commas, or None for an empty text."""
-    return tuple(_number(option, part) for part in text.split(",")) if text else None
+def _numbers(option: str, text: str) -> tuple[float, ...]:
+    """Return the numbers of a text separated by commas."""
+    return tuple(_number(option, part) for part in text.split(","))
 
 
 def _number(option: str, text: str) -> float:

@@ -38,11 +38,11 @@ from .machine_file import load_machine, machine_to_dict, save_machine
 from .machine_reader import implausible_values
 from .machine_schema import TABLES, Table, field_descriptions, field_units, fields, machine_json_schema
 from .machine_template import (
-    TEMPLATE_QUESTIONS,
     TEMPLATES,
-    WITH_CARRIAGES,
     MachineOptions,
+    TemplateQuestion,
     new_machine,
+    template_questions,
     write_machine_template,
 )
 from .quantities import split_unit
@@ -57,16 +57,13 @@ from .recording import (
     write_trajectory,
 )
 from .table_file import read_path, recording_files
-from .template_questions import template_value
 from .wrapping import Wrap, find_wrap, known_moduli, unwrapped, without_wraps, wraps_of
 
 __all__ = [
     "GAP_PERIODS",
     "TABLES",
     "TEMPLATES",
-    "TEMPLATE_QUESTIONS",
     "TIME",
-    "WITH_CARRIAGES",
     "ChannelSource",
     "ImportSettings",
     "Interval",
@@ -77,6 +74,7 @@ __all__ = [
     "ProposedColumns",
     "Recording",
     "Table",
+    "TemplateQuestion",
     "Wrap",
     "accepted_units",
     "bridge_blanks",
@@ -118,7 +116,7 @@ __all__ = [
     "run_of",
     "save_machine",
     "split_unit",
-    "template_value",
+    "template_questions",
     "unwrapped",
     "without_outliers",
     "without_repetitions",

@@ -1,4 +1,4 @@
-"""Write the machine.json of a new machine: a built-in machine with other values, and comments on its fields."""
+"""New machines from templates: a built-in machine with other values, and comments on the fields of its file."""
 
 from __future__ import annotations
 
@@ -13,88 +13,102 @@ from typing import Any
 
 from ..atomic_files import write_text
 from ..errors import InputError, suggestion
-from ..machine import BUILTIN_MACHINES, Drive, Machine, Sensor, rest_positions_per_axis
+from ..machine import BUILTIN_MACHINES, METERS, RADIANS, Drive, Machine, Sensor, rest_positions_per_axis
 from .machine_file import machine_to_dict
 from .machine_reader import MachineReader
 from .machine_schema import MachineFile
 
-TEMPLATES = ("hframe", "corexy", "printer", "axis", "belt-axis", "motor", "pendulum", "wheel", "servo")
-PLANAR = ("hframe", "corexy", "printer")
-TURNING = ("motor", "pendulum", "wheel", "servo")  # one rotary axis
-SET_POINT = ("printer", "servo")  # whose drives follow a set point
-WITH_ENCODERS = tuple(name for name in TEMPLATES if name not in SET_POINT)
-WITH_CARRIAGES = (
-    "hframe",
-    "corexy",
-    "axis",
-    "belt-axis",
-)  # whose position a sensor may measure beside encoders
-# Option, question, and the templates to which it applies.
-TEMPLATE_QUESTIONS = (
-    ("travel", "Travel along x and y, m", PLANAR),
-    ("travel", "Travel, m", ("axis", "belt-axis")),
-    ("mass", "Moving mass along x and y, kg", PLANAR),
-    ("mass", "Moving mass without the motor, kg", ("axis", "belt-axis")),
-    ("mass", "Moment of inertia of what turns, without the motor, kg m^2", TURNING),
-    ("pulley_radius", "Pitch radius of the motors' pulleys, m", (*PLANAR, "axis", "belt-axis")),
-    ("gear_ratio", "Turns of the motor per turn of the pulley", ("hframe", "corexy", "axis", "belt-axis")),
-    ("gear_ratio", "Turns of the motor per turn of the axis", ("motor", "pendulum", "wheel")),
-    ("rotor_inertia", "Moment of inertia of a motor's rotor, kg m^2", (*WITH_ENCODERS, "printer")),
-    ("Kt", "Torque constant of the motors, Nm/A", WITH_ENCODERS),
-    ("resistance", "Resistance of a motor, ohm", WITH_ENCODERS),
-    ("rated_voltage", "Rated voltage, V", WITH_ENCODERS),
-    ("encoder_lines", "Lines of the encoders on the motors (0: none)", WITH_ENCODERS),
-)
-# m of rest length per m of travel along x and y: the frame grows with the travel, and with it the belts.
-_LENGTH_PER_TRAVEL = {
-    "left": (1.5, 0.5),
-    "right": (1.5, 0.5),
-    "bottom": (1.0, 1.0),
-    "motor_side": (0.5, 0.0),
-    "idler_side": (1.5, 0.0),
-    "belt1_short": (0.5, 0.5),
-    "belt2_short": (0.5, 0.5),
-    "belt1_long": (1.5, 1.5),
-    "belt2_long": (1.5, 1.5),
-}
 _QUADRATURE = 4  # edges per line of an encoder
 _LINE = 100  # characters of a line of the file, comments excepted
 _LONGEST = {"travel": 20.0, "pulley_radius": 1.0}  # m; larger values are refused, they are in millimeters
-_KINEMATICS = {
-    "hframe": "H-frame: one belt for both motors. With p = radius * phi: x = (p2 - p1) / 2 and y = -(p1 + p2) / 2.",
-    "axis": "One axis: the motor moves the carriage directly, gear_ratio is the angle of its shaft per m of travel.",
-    "belt-axis": "Belt axis: a belt between the motor's pulley and an idler moves the carriage, x = radius * phi.",
-    "corexy": "CoreXY: one belt per motor. With p = radius * phi: x = (p1 + p2) / 2 and y = (p1 - p2) / 2.",
-    "printer": "CoreXY printer: one belt per motor. With p = radius * phi: x = (p1 + p2) / 2 and y = (p1 - p2) / 2.",
-    "motor": "A motor: angles count in the direction of a positive voltage. Without a range it may turn freely.",
-    "pendulum": "A pendulum: the effect `unbalance` is its weight, A sin(angle + p); it hangs at the angle 0.",
-    "wheel": "A wheel behind a gear motor: angles are those of the wheel, the recorded command is a duty cycle.",
-    "servo": "A servo: the recorded command is the angle that it shall take, and 0 is the middle of its range.",
-}
-_COREXY = ("corexy", "printer")
-_AXES_OF_TURNING = {"motor": "shaft", "pendulum": "arm", "wheel": "wheel", "servo": "horn"}
+_AXIS_PULLEY = 0.02  # m; with it and no gear, the template `axis` has its 50 rad/m
+
+
+@dataclass(frozen=True)
+class Template:
+    """What a template adds to the built-in machine of the same name.
+
+    Attributes:
+        title: What it is, for people.
+        comment: How the coordinates are counted, for the file.
+        coordinates: Comments by name of the coordinate; without one, it is the pulley of a motor.
+        lengths: m of rest length of each belt section per m of travel along x and y: the frame grows with the travel,
+            and with it the belts.
+    """
+
+    title: str
+    comment: str
+    coordinates: Mapping[str, str]
+    lengths: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+
 _CARRIAGE = "The carriage. mass: everything that moves, plus gear_ratio^2 times the inertia of the rotor."
 _SHAFT = (
     "What turns. mass: moment of inertia of everything that turns, plus gear_ratio^2 times that of the rotor. viscous: "
     "without the back-EMF, which follows from Ke. Optional: range, [lowest, highest] angle, rad."
 )
-_COORDINATE_COMMENTS = {
-    ("hframe", "x"): "The bridge. mass: everything that moves along x, i.e. bridge, cart and tool.",
-    ("hframe", "y"): "The cart on the bridge. mass: everything that moves along y, i.e. cart and tool.",
-    ("axis", "x"): _CARRIAGE,
-    ("belt-axis", "x"): "The carriage. mass: everything that moves with it, without motor and pulley.",
-    **{
-        (
-            name,
-            "x",
-        ): "The carriage on the bridge. mass: everything that moves along x, i.e. carriage and tool."
-        for name in _COREXY
-    },
-    **{
-        (name, "y"): "The bridge. mass: everything that moves along y, i.e. bridge, carriage and tool."
-        for name in _COREXY
-    },
-    **dict.fromkeys(_AXES_OF_TURNING.items(), _SHAFT),
+_COREXY = {
+    "x": "The carriage on the bridge. mass: everything that moves along x, i.e. carriage and tool.",
+    "y": "The bridge. mass: everything that moves along y, i.e. bridge, carriage and tool.",
+}
+_COREXY_LENGTHS = {
+    **dict.fromkeys(("belt1_short", "belt2_short"), (0.5, 0.5)),
+    **dict.fromkeys(("belt1_long", "belt2_long"), (1.5, 1.5)),
+}
+#: Templates of `hframe machines new` by the name of their built-in machine.
+TEMPLATES: dict[str, Template] = {
+    "hframe": Template(
+        "H-frame, one belt for both motors",
+        "H-frame: one belt for both motors. With p = radius * phi: x = (p2 - p1) / 2 and y = -(p1 + p2) / 2.",
+        {
+            "x": "The bridge. mass: everything that moves along x, i.e. bridge, cart and tool.",
+            "y": "The cart on the bridge. mass: everything that moves along y, i.e. cart and tool.",
+        },
+        {"left": (1.5, 0.5), "right": (1.5, 0.5), "bottom": (1.0, 1.0)},
+    ),
+    "corexy": Template(
+        "CoreXY, a belt for each motor",
+        "CoreXY: one belt per motor. With p = radius * phi: x = (p1 + p2) / 2 and y = (p1 - p2) / 2.",
+        _COREXY,
+        _COREXY_LENGTHS,
+    ),
+    "printer": Template(
+        "CoreXY printer with stepper motors",
+        "CoreXY printer: one belt per motor. With p = radius * phi: x = (p1 + p2) / 2 and y = (p1 - p2) / 2.",
+        _COREXY,
+        _COREXY_LENGTHS,
+    ),
+    "axis": Template(
+        "One axis",
+        "One axis: the motor moves the carriage directly, gear_ratio is the angle of its shaft per m of travel.",
+        {"x": _CARRIAGE},
+    ),
+    "belt-axis": Template(
+        "One axis with a belt",
+        "Belt axis: a belt between the motor's pulley and an idler moves the carriage, x = radius * phi.",
+        {"x": "The carriage. mass: everything that moves with it, without motor and pulley."},
+        {"motor_side": (0.5, 0.0), "idler_side": (1.5, 0.0)},
+    ),
+    "motor": Template(
+        "Motor",
+        "A motor: angles count in the direction of a positive voltage. Without a range it may turn freely.",
+        {"shaft": _SHAFT},
+    ),
+    "pendulum": Template(
+        "Pendulum on a motor",
+        "A pendulum: the effect `unbalance` is its weight, A sin(angle + p); it hangs at the angle 0.",
+        {"arm": _SHAFT},
+    ),
+    "wheel": Template(
+        "Wheel with a gear motor",
+        "A wheel behind a gear motor: angles are those of the wheel, the recorded command is a duty cycle.",
+        {"wheel": _SHAFT},
+    ),
+    "servo": Template(
+        "Servo",
+        "A servo: the recorded command is the angle that it shall take, and 0 is the middle of its range.",
+        {"horn": _SHAFT},
+    ),
 }
 _PULLEY_COMMENT = (
     "The pulley of a motor, behind the gear. mass: moment of inertia of the pulley, plus gear_ratio^2 times that of "
@@ -166,6 +180,69 @@ class MachineOptions:
     values: Mapping[str, float] = field(default_factory=dict)
 
 
+@dataclass(frozen=True)
+class TemplateQuestion:
+    """An option of `hframe machines new` that a template has.
+
+    Attributes:
+        option: Its name in `MachineOptions`.
+        text: Question for its value.
+        default: Value of the template, SI; for `travel` and `mass` a text with one value per axis, separated by commas.
+    """
+
+    option: str
+    text: str
+    default: str | float | int | bool
+
+
+def template_questions(like: str) -> tuple[TemplateQuestion, ...]:
+    """Return the options that a template has, in the order in which they are asked for; they follow from its machine.
+
+    Args:
+        like: Template, one of `TEMPLATES`.
+    """
+    machine = BUILTIN_MACHINES[like]()
+    drive, axes = machine.drives[0], [machine.coordinate(name) for name in machine.tool_axes]
+    moved = machine.coordinate(drive.coordinate)
+    planar, turning, follows = len(axes) == 2, machine.axis_unit is RADIANS, drive.law is not None
+    is_pulley = moved.kind == "rotary" and not turning
+    questions: list[TemplateQuestion] = []
+
+    def ask(option: str, text: str, default: str | float | int | bool) -> None:
+        rounded = float(f"{default:.4g}") if isinstance(default, float) else default
+        questions.append(TemplateQuestion(option, text, rounded))
+
+    if not turning:
+        travel = [f"{c.range[1] - c.range[0]:g}" if c.range else "1" for c in axes]
+        ask("travel", "Travel along x and y, m" if planar else "Travel, m", ",".join(travel))
+    mass = (
+        "Moment of inertia of what turns, without the motor, kg m^2"
+        if turning
+        else ("Moving mass along x and y, kg" if planar else "Moving mass without the motor, kg")
+    )
+    ask("mass", mass, ",".join(f"{c.mass:g}" for c in axes))
+    if not turning:
+        radius = moved.radius if is_pulley else _AXIS_PULLEY
+        ask("pulley_radius", "Pitch radius of the motors' pulleys, m", radius)
+    if not follows:
+        ratio = drive.gear_ratio if moved.kind == "rotary" else 1.0
+        ask("gear_ratio", f"Turns of the motor per turn of the {'axis' if turning else 'pulley'}", ratio)
+    if not (turning and follows):
+        inertia = moved.mass / drive.gear_ratio**2 if is_pulley else 0.0
+        ask("rotor_inertia", "Moment of inertia of a motor's rotor, kg m^2", inertia)
+    if follows:
+        return tuple(questions)
+    ask("Kt", "Torque constant of the motors, Nm/A", drive.Kt)
+    ask("resistance", "Resistance of a motor, ohm", drive.resistance)
+    ask("rated_voltage", "Rated voltage, V", drive.rated_voltage)
+    quanta = [s.resolution for s in machine.sensors if s.kind == "encoder"]
+    lines = round(2 * math.pi / (_QUADRATURE * quanta[0] * drive.gear_ratio)) if quanta else 0
+    ask("encoder_lines", "Lines of the encoders on the motors (0: none)", lines)
+    if not turning:
+        ask("linear_sensor", f"Does a sensor measure {' and '.join(machine.tool_axes)} directly?", True)
+    return tuple(questions)
+
+
 def new_machine(like: str, name: str, options: MachineOptions) -> Machine:
     """Create a machine from a template, with the user's values in place of some of the template's.
 
@@ -189,13 +266,13 @@ def new_machine(like: str, name: str, options: MachineOptions) -> Machine:
     machine = BUILTIN_MACHINES[like]().replace(
         name=name, description=f"A machine like {like}; see docs/machine.md."
     )
-    _check(like, options)
-    machine = _with_travel(machine, options)
+    _check(like, machine, options)
+    machine = _with_travel(machine, TEMPLATES[like].lengths, options)
     machine = machine.replace(drives=tuple(_drive(machine, d, options) for d in machine.drives))
     machine = _with_masses(machine, options)
     gear_ratios = {d.coordinate: d.gear_ratio for d in BUILTIN_MACHINES[like]().drives}
     machine = machine.replace(sensors=_sensors(machine, gear_ratios, options))
-    if like == "printer":
+    if machine.drive_laws and machine.axis_unit is METERS:
         machine = machine.replace(drives=tuple(_reaching(machine, d) for d in machine.drives))
     if not machine.sensors:
         raise InputError(
@@ -218,16 +295,16 @@ def write_machine_template(like: str, machine: Machine, path: Path) -> None:
     """
     content = machine_to_dict(machine)
     for entry in content["coordinates"]:
-        if like in TURNING:  # no belt runs on it
+        if machine.axis_unit is RADIANS:  # no belt runs on it
             del entry["radius"]
     first = [
         "Machine description of hframe_gym. All values are in SI units; docs/machine.md describes every field.",
-        _KINEMATICS[like],
+        TEMPLATES[like].comment,
         "Comments like this one are allowed in every object. They are ignored.",
         f"Next: hframe machines show {path.name}, then hframe check RUNS --machine {path.name}",
     ]
     comments = {
-        "coordinates": lambda entry: _COORDINATE_COMMENTS.get((like, entry["name"]), _PULLEY_COMMENT),
+        "coordinates": lambda entry: TEMPLATES[like].coordinates.get(entry["name"], _PULLEY_COMMENT),
         "belts": lambda entry: _BELT_COMMENT,
         "drives": lambda entry: _DRIVE_COMMENTS[entry.get("kind", "voltage")],
         "sensors": lambda entry: _ENCODER_COMMENT if entry["kind"] == "encoder" else _LASER_COMMENT,
@@ -275,16 +352,15 @@ def _commented(
     return result
 
 
-def _check(like: str, options: MachineOptions) -> None:
+def _check(like: str, machine: Machine, options: MachineOptions) -> None:
     """Check that options are positive and fit the template."""
-    applies = {option for option, _, templates in TEMPLATE_QUESTIONS if like in templates} | {"values"}
-    applies |= {"linear_sensor"} if like in WITH_CARRIAGES else set()
+    applies = {question.option for question in template_questions(like)} | {"values"}
     for info in dataclasses.fields(options):
         if info.name not in applies and getattr(options, info.name) not in (info.default, None):
             raise InputError(
                 f"--{info.name.replace('_', '-')}: {like} has none; see `hframe machines new --help`"
             )
-    axes = 2 if like in PLANAR else 1
+    axes = len(machine.tool_axes)
     for name in ("travel", "mass"):
         values = getattr(options, name)
         if values is not None and len(values) != axes:
@@ -292,12 +368,13 @@ def _check(like: str, options: MachineOptions) -> None:
             raise InputError(
                 f"--{name}: {like} needs {axes} value{'s'[: axes - 1]}, for example --{name} {example}"
             )
+    driven_axes = {drive.coordinate for drive in machine.drives} & set(machine.tool_axes)
     for info in dataclasses.fields(options):
         value = getattr(options, info.name)
         numbers = value if isinstance(value, tuple) else (value,) if isinstance(value, int | float) else ()
         # A mass may include the rotor; the inertia of a pulley must be positive.
-        direct = info.name == "rotor_inertia" and like in ("axis", *TURNING)
-        zero_allowed = direct or info.name in ("encoder_lines", "linear_sensor")
+        included = info.name == "rotor_inertia" and driven_axes
+        zero_allowed = included or info.name in ("encoder_lines", "linear_sensor")
         for number in numbers:
             if not math.isfinite(number) or number < 0 or (number == 0 and not zero_allowed):
                 raise InputError(f"--{info.name.replace('_', '-')} {number:g}: must be positive")
@@ -307,7 +384,9 @@ def _check(like: str, options: MachineOptions) -> None:
                 )
 
 
-def _with_travel(machine: Machine, options: MachineOptions) -> Machine:
+def _with_travel(
+    machine: Machine, lengths: Mapping[str, tuple[float, float]], options: MachineOptions
+) -> Machine:
     """Return a machine with other ranges, and belts that are longer or shorter accordingly."""
     if options.travel is None:
         return machine
@@ -320,7 +399,7 @@ def _with_travel(machine: Machine, options: MachineOptions) -> Machine:
             coordinates[index] = dataclasses.replace(c, range=(-travel[c.name] / 2, travel[c.name] / 2))
     belts = []
     for b in machine.belts:
-        per_x, per_y = _LENGTH_PER_TRAVEL[b.name]
+        per_x, per_y = lengths[b.name]
         length = b.rest_length + per_x * change["x"] + per_y * change["y"]
         belts.append(dataclasses.replace(b, rest_length=round(length, 6)))
     return machine.replace(coordinates=tuple(coordinates), belts=tuple(belts))
