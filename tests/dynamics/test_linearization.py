@@ -115,3 +115,17 @@ def test_the_integration_step_resolves_stiff_belts(hframe: Machine) -> None:
     )
     step = resolved_step(stiff, 0.5e-3)
     assert 2 * np.pi * mode_frequencies(stiff).max() * step == pytest.approx(0.75)
+
+
+def test_the_integration_step_resolves_a_delay_that_is_no_multiple_of_it(hframe: Machine) -> None:
+    delayed = hframe.with_effects(EFFECTS["input_delay"].at("motor1", d=0.43e-3))
+    time_s = 1e-3 * np.arange(100)
+    volts = np.random.default_rng(0).uniform(-6.0, 6.0, (100, 2))
+    exact = simulate(delayed, time_s, volts, longest_step=0.01e-3).outputs
+
+    def error_m(step_s: float) -> float:
+        errors = np.abs(simulate(delayed, time_s, volts, longest_step=step_s).outputs - exact)
+        return float((errors * [0.0194, 0.0194, 1.0, 1.0]).max())
+
+    assert error_m(0.125e-3) > 2e-6
+    assert error_m(resolved_step(delayed, 0.125e-3)) < 0.5e-6

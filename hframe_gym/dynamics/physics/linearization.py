@@ -20,6 +20,9 @@ from ...distributed import single_threaded_linear_algebra
 from ...machine import Machine
 from .equations import Equations
 
+_STEP_WITH_DELAY = (
+    0.4  # voltages that jump by 4 V and act 0.43 ms later: 6 um of error at 0.125 ms, 0.3 um at 0.05 ms
+)
 _MAX_PHASE = 0.75  # rad per integration step; the 20th-order H-frame has 0.73 at 0.5 ms
 _STEP = 1e-40  # complex step; its square vanishes beside every number of interest, and its products do not underflow
 _RIGID_EIGENVALUE = 1e-9  # eigenvalues below this fraction of the largest one belong to rigid-body modes
@@ -127,12 +130,15 @@ def mode_frequencies(machine: Machine, position: ArrayLike | None = None) -> Arr
 
 
 def resolved_step(machine: Machine, longest_step: float) -> float:
-    """Return an integration step, s, that resolves the fastest vibration of the belts, at most `longest_step`, s.
+    """Return an integration step, s, that resolves the fastest vibration and delays, at most `longest_step`, s.
 
     Steps that are too long for a stiff belt change the frequency of its vibration, and much longer ones make the
     integrator diverge. The result is 0.75 / highest natural frequency (rad/s) at position 0, if that is shorter. The
-    loop of a drive that follows a set point counts with the largest eigenvalue of the linear model.
+    loop of a drive that follows a set point counts with the largest eigenvalue of the linear model. Voltages that act
+    with a delay change inside a step, whose error falls with the square of its length.
     """
+    if any(effect.definition.delay is not None for effect in machine.effects):
+        longest_step *= _STEP_WITH_DELAY
     if machine.drive_laws:
         fastest = float(np.abs(np.linalg.eigvals(linearize(machine).A)).max())
         return longest_step if longest_step * fastest <= _MAX_PHASE else _MAX_PHASE / fastest
