@@ -72,6 +72,10 @@ def initial_rest(recording: Recording, machine: Machine) -> InitialRest:
         before the first input (mask of shape (sensors,)), and the time by which a motion precedes the input, s.
     """
     rows = _rows_without_input(recording)
+    if rows > _MIN_ROWS and _moves_in_last(
+        recording.outputs[:rows], _tolerances(recording, rows - 1, machine)[0]
+    ):
+        rows -= 1
     outputs = recording.outputs[:rows]
     rest = InitialRest(0, rows, np.zeros(outputs.shape[1], np.bool_))
     tolerance, span = _tolerances(recording, rows, machine)
@@ -104,7 +108,8 @@ def initial_rest(recording: Recording, machine: Machine) -> InitialRest:
 def count_resting_rows(recording: Recording, machine: Machine) -> int:
     """Count the rows at the beginning of a run in which the machine is at rest.
 
-    The row in which an input first changes is included, because its measurement still precedes the motion. Rows without
+    The row in which an input first changes is included, because its measurement still precedes the motion, unless it
+    shows that a controller that is faster than the log moved the machine before. Rows without
     measurements count as rest, among them those whose measurements `without_moving_start` has removed.
 
     Args:
@@ -149,6 +154,15 @@ def _rows_without_input(recording: Recording) -> int:
     if np.any(recording.inputs[0]):
         return 1  # The machine is driven from its first row on; only that row is certainly at rest.
     return int(changes[0]) + 1 if len(changes) else len(recording.time_s)
+
+
+def _moves_in_last(outputs: Array, tolerance: Array) -> bool:
+    """Return whether a sensor moves in the last row alone: a controller faster than the log had begun before it."""
+    if not np.isfinite(outputs[:-1]).any(axis=0).all():
+        return False
+    rest = outputs[:-1]
+    still = peak_to_peak(rest) <= tolerance
+    return bool(np.any(still & (np.abs(outputs[-1] - np.nanmedian(rest, axis=0)) > tolerance)))
 
 
 def _tolerances(recording: Recording, rows: int, machine: Machine) -> tuple[Array, Array]:

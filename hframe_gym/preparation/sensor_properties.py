@@ -126,7 +126,7 @@ def independent_values(time_s: Array, outputs: Array, quanta: Array) -> Array:
     return counts
 
 
-_SPEED_ROWS, _MIN_JITTER_ROWS = 11, 50  # samples that a speed is computed from; measured rows of a run
+_SPEED_ROWS, MIN_JITTER_ROWS = 11, 50  # samples that a speed is computed from; measured rows of a run
 # Largest jitter, in sampling periods. Times that err uniformly over a whole period have a standard deviation of 0.29;
 # much larger errors would exchange the order of the samples. What looks like more has another cause, such as a sensor
 # that is slower than the log, and must not be taken for noise.
@@ -182,9 +182,9 @@ def clock_jitter(times: Sequence[Array], channel: Sequence[Array], noise: float)
     squares, speeds, travels = [], [], []
     for time_s, values in zip(times, channel, strict=True):
         measured = np.isfinite(values)
-        if np.count_nonzero(measured) < _MIN_JITTER_ROWS:
+        if np.count_nonzero(measured) < MIN_JITTER_ROWS:
             continue
-        speed = _smooth_speed(time_s[measured], values[measured])
+        speed = smooth_speed(time_s[measured], values[measured])
         regular = np.linspace(time_s[measured][0], time_s[measured][-1], len(speed))
         at_regular_times = values[measured] + speed * (regular - time_s[measured])
         squares.append(
@@ -223,13 +223,18 @@ def noise_by_row(time_s: Array, outputs: Array, noise: Array, jitter: float) -> 
         measured = np.isfinite(values)
         if jitter > 0.0 and np.count_nonzero(measured) >= _SPEED_ROWS:
             by_row[measured, j] = np.hypot(
-                noise[j], jitter * _smooth_speed(time_s[measured], values[measured])
+                noise[j], jitter * smooth_speed(time_s[measured], values[measured])
             )
     return by_row
 
 
-def _smooth_speed(time_s: Array, values: Array) -> Array:
-    """Return the speed of a channel, m/s or rad/s, shape (n,): the slope of a parabola over 11 samples."""
+def smooth_speed(time_s: Array, values: Array) -> Array:
+    """Return the speed of a channel, m/s or rad/s, shape (n,): the slope of a parabola over 11 samples.
+
+    Args:
+        time_s: Sample times, s, shape (n,).
+        values: Measurements, m or rad, shape (n,).
+    """
     period = float(time_s[-1] - time_s[0]) / (len(time_s) - 1)
     return np.asarray(savgol_filter(values, _SPEED_ROWS, 2, deriv=1, delta=period))
 

@@ -1,8 +1,8 @@
 """What of a recording can be used: the one path by which `check`, `identify` and `simulate` treat measurements.
 
-A recording is unwrapped first. Not usable are repetitions of the last measurement by a sensor that is slower than the
-log, outliers, the measurements before the machine comes to rest, and those at the end of a sensor's range. Inputs that
-were measured with much noise are averaged.
+A recording is unwrapped first, and stamps that jitter around equal steps are replaced by these. Not usable are
+repetitions of the last measurement by a sensor that is slower than the log, outliers, the measurements before the
+machine comes to rest, and those at the end of a sensor's range. Inputs that were measured with much noise are averaged.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from ..recordings import (
 from .criteria import SaturationCriteria
 from .initial_rest import InitialRest, count_resting_rows, initial_rest, without_moving_start
 from .input_noise import without_input_noise
+from .regular_clock import with_regular_clock
 from .sensor_properties import Range, blank_saturated, saturation_ranges, sensor_noise, sensor_quantum
 
 
@@ -53,13 +54,19 @@ def usable_run(
         machine: Machine with its sensors.
         log: Called with a line of text for each channel that wraps and each kind of measurements that is removed.
     """
-    unwrapped = without_input_noise(without_wraps(recording, machine), machine, log)
+    regular, jitter_s = with_regular_clock(without_wraps(recording, machine), machine)
+    unwrapped = without_input_noise(regular, machine, log)
     distinct = without_repetitions(unwrapped)
     measured = without_outliers(distinct, machine)
     rest = initial_rest(measured, machine)
     usable = without_moving_start(measured, machine, rest)
     if log is not None:
         _log_wraps(recording, machine, log)
+        if jitter_s:
+            log(
+                f"{recording.name}: the stamps jitter by {1e3 * jitter_s:.2g} ms, but the motion was sampled in equal "
+                "steps; these replace the stamps"
+            )
         _log_repetitions(unwrapped, distinct, machine, log)
         for before, after, what in ((distinct, measured, "outliers"), (measured, usable, "moving start")):
             if after is not before:

@@ -167,3 +167,18 @@ def test_a_quantized_sensor_shows_that_a_machine_moves_after_its_only_row_at_res
     error[0, :, 0] = 7e-6 * np.arange(300)
     zero = sensor_zero_error(error, np.ones((300, 1)), 1, np.array([25e-9]), np.array([50e-9]))
     assert abs(zero[0, 0, 0]) <= 25e-9
+
+
+def test_a_row_that_a_faster_controller_has_moved_already_is_no_rest(axis: Machine) -> None:
+    """A controller that begins between two rows of a slow log moves the machine before the first voltage in it."""
+    motion = np.zeros(200)
+    motion[50:] = 0.001 + 0.01 * np.arange(150.0) / 150.0
+    still = run(motion)
+    inputs = still.inputs.copy()
+    first = int(np.flatnonzero(np.any(inputs != 0.0, axis=1))[0])
+    moved = still.outputs - still.outputs.mean(axis=0)
+    moved[: first + 1] = np.random.default_rng(0).normal(0.0, 2e-6, (first + 1, moved.shape[1]))
+    at_rest = Recording("run", still.time_s, inputs, moved.copy())
+    moved[first] += 1e-3
+    assert count_resting_rows(at_rest, axis) == first + 1
+    assert count_resting_rows(Recording("run", still.time_s, inputs, moved), axis) == first

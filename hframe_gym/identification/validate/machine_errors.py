@@ -172,7 +172,7 @@ def evaluate_held_out(
         except NotFiniteError:
             return np.full(run.outputs.shape, np.nan), run.initial.warnings, True
         error = np.full(run.outputs.shape, np.nan)  # rows that the preparation inserted in gaps stay NaN
-        error[np.isin(run.time_s, recording.time_s)] = simulation.error
+        error[~run.dropped] = simulation.error
         return error, simulation.initial.warnings, False
 
     results = list(map_runs(simulated, refined))

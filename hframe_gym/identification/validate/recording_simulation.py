@@ -85,7 +85,7 @@ def simulate_recording(
         NotFiniteError: If the motion diverges.
     """
     criteria = criteria or SelectionCriteria()
-    cleaned = _cleaned(recording, machine, criteria, updates)
+    cleaned, recorded = _cleaned(recording, machine, criteria, updates)
     initial = _initial_state(machine, cleaned, criteria, updates)
     motion = simulate(
         machine,
@@ -94,11 +94,10 @@ def simulate_recording(
         offset=initial.zeros,
         longest_step=POLISH_STEP,
     )
-    recorded = np.isin(cleaned.time_s, recording.time_s)  # the rows that `fill_gaps` did not insert
     rows = np.flatnonzero(recorded) * updates
     trajectory = dataclasses.replace(
         motion,
-        time_s=motion.time_s[rows],
+        time_s=recording.time_s,
         positions=motion.positions[rows],
         velocities=motion.velocities[rows],
         outputs=motion.outputs[rows],
@@ -131,24 +130,25 @@ def initial_state_of_recording(
         from the measurements at rest. `warnings` lists what could not be determined.
     """
     criteria = criteria or SelectionCriteria()
-    return _initial_state(machine, _cleaned(recording, machine, criteria), criteria)
+    return _initial_state(machine, _cleaned(recording, machine, criteria)[0], criteria)
 
 
 def _cleaned(
     recording: Recording, machine: Machine, criteria: SelectionCriteria, updates: int = 1
-) -> Recording:
-    """Return a recording without outliers, gaps, and measurements before the machine came to rest.
+) -> tuple[Recording, NDArray[np.bool_]]:
+    """Return a recording without outliers, gaps, and measurements before the machine came to rest, and its logged rows.
 
     The measurements also determine the voltages in the gaps, except saturated measurements.
     """
     usable = without_unknown_voltage(usable_run(recording, machine).usable, machine)
     filled = fill_gaps(usable)
+    logged = np.isin(filled.time_s, usable.time_s)  # `fill_gaps` keeps recorded times exactly
     if filled is usable or not np.isfinite(usable.outputs).any():
-        return filled
+        return filled, logged
     _, _, noise = rest_and_noise(filled, machine)
     data = prepare(without_saturated([usable], machine, noise, criteria)[0], machine)
     (run,) = estimate_lost_voltages(data.with_updates(updates), machine).runs
-    return dataclasses.replace(filled, inputs=run.inputs)
+    return dataclasses.replace(filled, inputs=run.inputs), logged
 
 
 def _updated(recording: Recording, updates: int) -> tuple[Array, Array]:
