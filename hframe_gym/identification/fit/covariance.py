@@ -157,7 +157,7 @@ def _directions(fitted: Fit, data: Dataset, prior: Array) -> Array:
     """
     switches = np.array([f.switch for f in fitted.free], dtype=bool)
     directions, smooth = np.zeros_like(prior), np.ix_(~switches, ~switches)
-    directions[smooth] = _principal_directions(fitted.information[smooth], prior[smooth])
+    directions[smooth] = principal_directions(fitted.information[smooth], prior[smooth])
     if has_impacts(fitted.machine):  # the residual is rugged over shorter differences
         directions[:, ~switches] *= _MAX_DIFFERENCE / np.abs(directions[:, ~switches]).max(axis=0)
     if not switches.any():
@@ -172,7 +172,7 @@ def _directions(fitted: Fit, data: Dataset, prior: Array) -> Array:
     return directions
 
 
-def _principal_directions(information: Array, prior: Array) -> Array:
+def principal_directions(information: Array, prior: Array) -> Array:
     """Return the principal axes of the posterior of theta, in the metric of the prior.
 
     Args:

@@ -3,7 +3,7 @@
 A controller that is faster than the log changes the voltages several times from one row to the next. The log does not
 say so, but the motion does: voltages that are held from row to row act late, by up to half a sampling period. A machine
 is therefore fitted with held voltages, then with voltages that are interpolated and change twice a row, three times and
-so on, while the error falls: first with an observer of 60 rad/s, then with the most likely one.
+so on, while the error falls. If that reduces the error clearly, instruments count the changes (`slow_logs`).
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ from ..judge.criteria import SelectionCriteria
 from ..judge.run import UpdatesEvidence, voltages_change_between_rows
 from ..predict.prediction import SEARCH_BANDWIDTH
 from .estimation import Fit, prediction_costs
-from .model_error import continue_fit, fit_with_model_error
+from .model_error import continue_fit
+from .slow_logs import count_updates
 
 _MOST_UPDATES = 20  # a row; with more, voltages act earlier by less than a fortieth of a sampling period
 
@@ -93,7 +94,7 @@ def voltage_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> 
     """
     data = data.with_updates(1)
     held = continue_fit(fitted, data, SEARCH_BANDWIDTH)
-    per_row, best = _most_likely(held, data, 1)
+    per_row, best = _least_error(held, data)
     if per_row > 1:
         before, after = (
             prediction_costs(f.machine, d, SEARCH_BANDWIDTH)
@@ -101,17 +102,17 @@ def voltage_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> 
         )
         evidence = UpdatesEvidence(held.error, best.error, float(np.mean(after < before)))
         if voltages_change_between_rows(evidence, criteria):
-            # A slower observer distinguishes 4 changes from 5, which act 0.1 ms earlier in a log of 5 ms.
-            likeliest = fit_with_model_error(best, data.with_updates(per_row))
-            return VoltageUpdates(_most_likely(likeliest, data, per_row)[0], held.chi2, best.chi2)
+            per_row = count_updates(best, data, _MOST_UPDATES) or per_row
+            fitted = continue_fit(best, data.with_updates(per_row), SEARCH_BANDWIDTH)
+            return VoltageUpdates(per_row, held.chi2, fitted.chi2)
     return VoltageUpdates(1, held.chi2, held.chi2)
 
 
-def _most_likely(fitted: Fit, data: Dataset, per_row: int) -> tuple[int, Fit]:
-    """Return the number of changes with the least error at the bandwidth of a fit, from its number on, and the fit."""
-    best = fitted
-    for trial in range(per_row + 1, _MOST_UPDATES + 1):
-        refitted = continue_fit(best, data.with_updates(trial), fitted.bandwidth)
+def _least_error(held: Fit, data: Dataset) -> tuple[int, Fit]:
+    """Return the number of changes with the least error, and its fit; a fit with held voltages is given."""
+    best, per_row = held, 1
+    for trial in range(2, _MOST_UPDATES + 1):
+        refitted = continue_fit(best, data.with_updates(trial), held.bandwidth)
         if not refitted.cost < best.cost:
             break
         best, per_row = refitted, trial

@@ -1,0 +1,335 @@
+"""Fit a machine to logs that are slower than the controller, whose voltages between the rows are interpolated.
+
+A controller answers each rounding error of an encoder with a voltage that lasts until it reads the encoder again. In a
+slow log, interpolation spreads this voltage over the intervals on both sides of the row. The interpolated voltages then
+err by some 20 mV, and least squares fail in three ways:
+
+- The voltage before a row already contains the answer to the measurement of the row. Least squares take the correlation
+  of both for an effect of the voltage on the motion: pulleys seemed 5 to 20 % heavier. Therefore the residual must not
+  be orthogonal to the derivatives themselves, but to *instruments*: derivatives computed from smoothed voltages and
+  measurements, which follow the motion as well and hardly contain single rounding errors.
+- The errors of the voltages push the machine about, so that the residual is correlated in time and between sensors. An
+  autoregression makes it white, residual and derivatives alike.
+- Where a voltage jumps between two rows, interpolation fails. Rows that it affects are left out.
+
+Both rows and autoregression follow from the residual, and are found anew after each step of the parameters.
+
+References:
+    Söderström and Stoica (1983), "Instrumental Variable Methods for System Identification".
+    Ljung (1999), "System Identification", sections 7.5 and 13.4.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+from scipy.linalg import block_diag
+from scipy.signal import savgol_filter
+
+from ...machine import Machine
+from ...preparation.dataset import Dataset, PreparedRecording
+from ..budget import spend
+from ..predict.free_parameters import bounded_step, prior_precision
+from ..predict.linearization import ResidualModel
+from ..predict.prediction import SEARCH_BANDWIDTH, SIMULATION, innovation_variance, map_runs
+from ..predict.start_uncertainty import predict_with_displaced_starts, prediction_residuals, projected
+from .covariance import principal_directions
+from .estimation import Fit, prediction_cost
+from .model_error import continue_fit, search_step
+
+Array = NDArray[np.float64]
+_ORDER = 12  # rows of the autoregression: errors of the voltages last as long as the belts vibrate
+# Rows of the cubics by which voltages and measurements are smoothed for the instruments: a single row counts 16 %.
+# Windows from 9 to 31 rows gave the same parameters.
+_SMOOTHED_ROWS = 15
+_CHANCE = 1e-6  # probability that Gaussian errors exceed those at which a row is left out
+_ROWS_PER_COEFFICIENT = 10  # fewer rows do not determine an autoregression
+_ROUNDS = 10  # steps of the parameters, at most
+_LONGEST_STEP = 0.5  # of theta, where the residual is not linear
+_STEP_PRECISION = 0.01  # of the prior of a step to one more change a row: it may be wrong by ten
+_HALF = 0.5  # of such a step: the nearest number
+_CONVERGED = 1.0  # decrease of the cost: that of one standard deviation
+
+
+class _Whitening(NamedTuple):
+    """Autoregression that makes the residual of s sensors white, with unit variance.
+
+    Attributes:
+        coefficients: Prediction of a row from the `_ORDER` rows before it, the latest first, shape (_ORDER * s, s).
+        root: Inverse Cholesky factor of the covariance of its errors, shape (s, s).
+    """
+
+    coefficients: Array
+    root: Array
+
+    def __call__(self, values: Array) -> Array:
+        """Return whitened rows, shape (k, n - _ORDER, s), of k residuals or derivatives of n rows."""
+        sensors = len(self.root)
+        rows = values.reshape(len(values), -1, sensors)
+        return np.asarray((rows[:, _ORDER:] - _earlier(rows) @ self.coefficients) @ self.root.T)
+
+
+class _Linear(NamedTuple):
+    """Linearized residual of a run.
+
+    Attributes:
+        residual: Residual, shape (1, n * s).
+        jacobian: Its derivatives with respect to k parameters, shape (k, n * s).
+        instruments: The derivatives with smoothed voltages and measurements, shape (k, n * s).
+    """
+
+    residual: Array
+    jacobian: Array
+    instruments: Array
+
+
+class _Models(NamedTuple):
+    """Residuals of a machine, with the voltages and measurements as they are, and smoothed.
+
+    Attributes:
+        measured: Residual as a function of the parameters.
+        smooth: The same with smoothed voltages and measurements.
+    """
+
+    measured: ResidualModel
+    smooth: ResidualModel
+
+    @classmethod
+    def of(cls, fitted: Fit, data: Dataset) -> _Models:
+        """Return the models of a fitted machine."""
+        smooth = dataclasses.replace(data, runs=tuple(map(_smoothed, data.runs)))
+        return cls(
+            *(
+                ResidualModel(fitted.machine, fitted.free, d, SEARCH_BANDWIDTH, search_step(SIMULATION))
+                for d in (data, smooth)
+            )
+        )
+
+    @property
+    def sensors(self) -> int:
+        """Number of sensors."""
+        return len(self.measured.machine.sensors)
+
+    @property
+    def all_rows(self) -> list[NDArray[np.bool_]]:
+        """Mask of the rows that have enough rows before them, for each run."""
+        return [np.ones(len(run.time_s) - _ORDER, np.bool_) for run in self.measured.data.runs]
+
+    def linearize(self, theta: Array) -> list[_Linear]:
+        """Return the linearized residual of each run, and its instruments.
+
+        Differences are taken along the principal axes of the information, like those of the covariance.
+        """
+        information = self.measured.linearize(theta).normal_equations.information
+        if not np.isfinite(information).all():
+            information = np.zeros_like(information)
+        directions = principal_directions(information, prior_precision(self.measured.free))
+        measured, smooth = (_differences(model, theta, directions) for model in self)
+        return [
+            _Linear(residual, jacobian, instruments)
+            for (residual, jacobian), (_, instruments) in zip(measured, smooth, strict=True)
+        ]
+
+    def residuals(self, theta: Array) -> list[list[Array]]:
+        """Return the residuals of each run, shape (n * s,), measured and smoothed."""
+
+        def of(model: ResidualModel) -> list[Array]:
+            machine, step_s = model.machine_at(theta), model.longest_step
+            return [
+                prediction_residuals(machine, run, model.data, model.bandwidth, longest_step=step_s)
+                for run in model.data.runs
+            ]
+
+        return [of(model) for model in self]
+
+
+def _differences(model: ResidualModel, theta: Array, directions: Array) -> list[tuple[Array, Array]]:
+    """Return residual, shape (1, n * s), and derivatives, (k, n * s), of each run by differences along directions."""
+    point = model.at(theta)
+    parameters = model.parameters(np.vstack([theta, theta + directions.T]))
+    inverse = np.linalg.inv(directions)
+
+    def of_run(run: PreparedRecording) -> tuple[Array, Array]:
+        start = point.starts[run.name]
+        motion = predict_with_displaced_starts(
+            point.machine,
+            run,
+            model.bandwidth,
+            start,
+            period=model.data.period,
+            parameters=parameters,
+            longest_step=model.longest_step,
+        )
+        residual, _ = projected(model.residuals(run, motion.readings), len(start.displacements))
+        return residual[:1], inverse.T @ (residual[1:] - residual[0])
+
+    return list(map_runs(of_run, model.data))
+
+
+def fit_slow_log(fitted: Fit, data: Dataset) -> Fit:
+    """Fit a machine again by instruments, if the voltages of its runs are interpolated between the rows.
+
+    The cost is that part of the white residual that the instruments can represent, plus the prior (two-stage least
+    squares). An observer of the search's bandwidth corrects the predictions; the autoregression makes up for it.
+
+    Args:
+        fitted: Final fit of a machine.
+        data: Runs that were fitted (times, voltages, measurements, SI).
+
+    Returns:
+        Fit with the same observer: machine, k parameters theta, dimensionless, shape (k,), cost (chi-squared).
+        `fitted` itself if the voltages are held, the rows are too few, or the steps do not converge.
+    """
+    if not any(run.updates > 1 for run in data.runs) or not _are_enough(data):
+        return fitted
+    models, theta, prior = _Models.of(fitted, data), fitted.theta, prior_precision(fitted.free)
+    used = models.all_rows
+    for _ in range(_ROUNDS):
+        spend()
+        linear = models.linearize(theta)
+        if not all(np.isfinite(part).all() for of_run in linear for part in of_run):
+            return fitted
+        whitening, used = _whitening([of_run.residual for of_run in linear], used, models.sensors)
+        information, gradient = _normal_equations(linear, whitening, used, prior)
+        slope = gradient + prior @ theta
+        step = bounded_step(fitted.free, theta, information + prior, slope)
+        step *= min(1.0, _LONGEST_STEP / max(float(np.abs(step).max()), 1e-300))
+        theta = theta + step
+        if -float(slope @ step) < _CONVERGED:
+            return _finished(fitted, models.measured.machine_at(theta), theta, information, data)
+    return fitted
+
+
+def count_updates(fitted: Fit, data: Dataset, most: int) -> int | None:
+    """Count the changes of the voltages from one row to the next by instruments.
+
+    Voltages that change more often act earlier. The amount of this change that the instruments ask for, in units of the
+    step to the next number, is 0 at the right number. Least squares ask for too much: voltages that act earlier contain
+    more of the answer to the next measurement.
+
+    Args:
+        fitted: Fit of a machine to the runs.
+        data: Runs (times, voltages, measurements, SI).
+        most: Largest number that is tried.
+
+    Returns:
+        Number of changes, at least 2; None if the rows are too few, or a prediction diverges.
+    """
+    if not _are_enough(data):
+        return None
+    for number in range(2, most):
+        fitted = continue_fit(fitted, data.with_updates(number), SEARCH_BANDWIDTH)
+        missing = _missing_step(fitted, data, number)
+        if not math.isfinite(missing):
+            return None
+        if missing < _HALF:
+            return number
+    return most
+
+
+def _are_enough(data: Dataset) -> bool:
+    """Return whether the rows of the runs determine an autoregression."""
+    sensors = data.runs[0].outputs.shape[1]
+    rows = [len(run.time_s) for run in data.runs]
+    return min(rows) > 2 * _ORDER and sum(rows) > _ROWS_PER_COEFFICIENT * _ORDER * sensors
+
+
+def _missing_step(fitted: Fit, data: Dataset, number: int) -> float:
+    """Return which part of the step to one more change a row the instruments ask for; not finite if one diverges."""
+    now, next_one = (_Models.of(fitted, data.with_updates(n)) for n in (number, number + 1))
+    linear = now.linearize(fitted.theta)
+    changes = [
+        [after - before for before, after in zip(of_now, of_next, strict=True)]
+        for of_now, of_next in zip(now.residuals(fitted.theta), next_one.residuals(fitted.theta), strict=True)
+    ]
+    extended = [
+        _Linear(part.residual, np.vstack([part.jacobian, change]), np.vstack([part.instruments, of_smooth]))
+        for part, change, of_smooth in zip(linear, *changes, strict=True)
+    ]
+    if not all(np.isfinite(part).all() for of_run in extended for part in of_run):
+        return math.nan
+    whitening, used = _whitening([part.residual for part in extended], now.all_rows, now.sensors)
+    prior = block_diag(prior_precision(fitted.free), _STEP_PRECISION)
+    information, gradient = _normal_equations(extended, whitening, used, prior)
+    return float(np.linalg.solve(information + prior, -gradient)[-1])
+
+
+def _finished(fitted: Fit, machine: Machine, theta: Array, information: Array, data: Dataset) -> Fit:
+    """Return the fit with other parameters, and its cost with the observer that it had."""
+    data = data.with_observers(fitted.observers)
+    cost = prediction_cost(machine, data, fitted.bandwidth, longest_step=fitted.longest_step)
+    floor = innovation_variance(machine, data, fitted.bandwidth)[0]
+    if not math.isfinite(cost):
+        return fitted
+    return dataclasses.replace(
+        fitted,
+        machine=machine,
+        theta=theta,
+        cost=cost,
+        count=data.count,
+        floor=floor,
+        information=information,
+    )
+
+
+def _smoothed(run: PreparedRecording) -> PreparedRecording:
+    """Return a run with smoothed voltages and measurements; those that are missing are interpolated."""
+    outputs = run.outputs.copy()
+    for values in outputs.T:
+        measured = np.isfinite(values)
+        if measured.any():
+            values[:] = savgol_filter(
+                np.interp(run.time_s, run.time_s[measured], values[measured]), _SMOOTHED_ROWS, 3
+            )
+    return dataclasses.replace(
+        run, inputs=savgol_filter(run.inputs, _SMOOTHED_ROWS, 3, axis=0), outputs=outputs
+    )
+
+
+def _earlier(rows: Array) -> Array:
+    """Return the `_ORDER` rows before each row, the latest first, shape (k, n - _ORDER, _ORDER * s)."""
+    count = rows.shape[1]
+    return np.concatenate([rows[:, _ORDER - lag : count - lag] for lag in range(1, _ORDER + 1)], axis=2)
+
+
+def _whitening(
+    residuals: Sequence[Array], used: Sequence[NDArray[np.bool_]], sensors: int
+) -> tuple[_Whitening, list[NDArray[np.bool_]]]:
+    """Fit the autoregression to the rows that are used, and find these: rows with errors that chance explains."""
+    limit = stats.chi2.isf(_CHANCE, sensors)
+    rows = [residual.reshape(1, -1, sensors) for residual in residuals]
+    regressors = np.concatenate([_earlier(of_run)[0] for of_run in rows])
+    values = np.concatenate([of_run[0, _ORDER:] for of_run in rows])
+    kept, ends = np.concatenate(used), np.cumsum([len(of_run) for of_run in used])[:-1]
+    for _ in range(_ROUNDS):
+        coefficients = np.linalg.lstsq(regressors[kept], values[kept], rcond=None)[0]
+        errors = values - regressors @ coefficients
+        covariance = errors[kept].T @ errors[kept] / max(int(kept.sum()), 1)
+        root = np.linalg.inv(np.linalg.cholesky(covariance + 1e-9 * np.eye(sensors)))
+        before, kept = kept, np.sum((errors @ root.T) ** 2, axis=1) < limit
+        if np.array_equal(before, kept):
+            break
+    return _Whitening(coefficients, root), np.split(kept, ends)
+
+
+def _normal_equations(
+    linear: Sequence[_Linear], whitening: _Whitening, used: Sequence[NDArray[np.bool_]], prior: Array
+) -> tuple[Array, Array]:
+    """Return information, shape (k, k), and gradient, (k,), of the white residual's part that instruments represent."""
+    products = 0.0
+    k = len(prior)
+    for of_run, kept in zip(linear, used, strict=True):
+        parts = np.vstack([of_run.instruments, of_run.jacobian, of_run.residual])
+        white = whitening(parts)[:, kept].reshape(len(parts), -1)
+        products = products + white[:k] @ white.T
+    products = np.asarray(products)
+    # A small part of the prior keeps combinations without instruments determined; it moves no parameter.
+    own, of_jacobian, of_residual = products[:, :k], products[:, k : 2 * k], products[:, -1]
+    projected = of_jacobian.T @ np.linalg.inv(own + 0.01 * prior)
+    return np.asarray(projected @ of_jacobian), np.asarray(projected @ of_residual)
