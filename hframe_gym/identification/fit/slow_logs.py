@@ -72,7 +72,10 @@ class _Whitening(NamedTuple):
         """Return whitened rows, shape (k, n - _ORDER, s), of k residuals or derivatives of n rows."""
         sensors = len(self.root)
         rows = values.reshape(len(values), -1, sensors)
-        return np.asarray((rows[:, _ORDER:] - _earlier(rows) @ self.coefficients) @ self.root.T)
+        errors = rows[:, _ORDER:].copy()
+        for lag, of_lag in enumerate(self.coefficients.reshape(_ORDER, sensors, sensors), 1):
+            errors -= rows[:, _ORDER - lag : -lag] @ of_lag
+        return np.asarray(errors @ self.root.T)
 
 
 class _Linear(NamedTuple):
@@ -293,9 +296,8 @@ def _smoothed(run: PreparedRecording) -> PreparedRecording:
 
 
 def _earlier(rows: Array) -> Array:
-    """Return the `_ORDER` rows before each row, the latest first, shape (k, n - _ORDER, _ORDER * s)."""
-    count = rows.shape[1]
-    return np.concatenate([rows[:, _ORDER - lag : count - lag] for lag in range(1, _ORDER + 1)], axis=2)
+    """Return the `_ORDER` rows before each of n rows, the latest first, shape (n - _ORDER, _ORDER * s)."""
+    return np.hstack([rows[_ORDER - lag : -lag] for lag in range(1, _ORDER + 1)])
 
 
 def _whitening(
@@ -303,9 +305,9 @@ def _whitening(
 ) -> tuple[_Whitening, list[NDArray[np.bool_]]]:
     """Fit the autoregression to the rows that are used, and find these: rows with errors that chance explains."""
     limit = stats.chi2.isf(_CHANCE, sensors)
-    rows = [residual.reshape(1, -1, sensors) for residual in residuals]
-    regressors = np.concatenate([_earlier(of_run)[0] for of_run in rows])
-    values = np.concatenate([of_run[0, _ORDER:] for of_run in rows])
+    rows = [residual.reshape(-1, sensors) for residual in residuals]
+    regressors = np.concatenate([_earlier(of_run) for of_run in rows])
+    values = np.concatenate([of_run[_ORDER:] for of_run in rows])
     kept, ends = np.concatenate(used), np.cumsum([len(of_run) for of_run in used])[:-1]
     for _ in range(_ROUNDS):
         coefficients = np.linalg.lstsq(regressors[kept], values[kept], rcond=None)[0]
