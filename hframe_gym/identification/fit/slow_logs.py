@@ -324,14 +324,13 @@ def _normal_equations(
     linear: Sequence[_Linear], whitening: _Whitening, used: Sequence[NDArray[np.bool_]], prior: Array
 ) -> tuple[Array, Array]:
     """Return information, shape (k, k), and gradient, (k,), of the white residual's part that instruments represent."""
-    products = 0.0
     k = len(prior)
+    products = np.zeros((k, 2 * k + 1))
     for of_run, kept in zip(linear, used, strict=True):
         parts = np.vstack([of_run.instruments, of_run.jacobian, of_run.residual])
         white = whitening(parts)[:, kept].reshape(len(parts), -1)
-        products = products + white[:k] @ white.T
-    products = np.asarray(products)
+        products += white[:k] @ white.T
     # A small part of the prior keeps combinations without instruments determined; it moves no parameter.
-    own, of_jacobian, of_residual = products[:, :k], products[:, k : 2 * k], products[:, -1]
-    projected = of_jacobian.T @ np.linalg.inv(own + 0.01 * prior)
-    return np.asarray(projected @ of_jacobian), np.asarray(projected @ of_residual)
+    own, of_jacobian, of_residual = products[:, :k], products[:, k:-1], products[:, -1]
+    projected_rows = of_jacobian.T @ np.linalg.inv(own + 0.01 * prior)
+    return np.asarray(projected_rows @ of_jacobian), np.asarray(projected_rows @ of_residual)
