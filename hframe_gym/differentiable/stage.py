@@ -56,7 +56,7 @@ class Stage(ABC, Generic[Tensor]):
         parallel: bool = True,
     ) -> None:
         self.check_library()
-        felt = [s.channel for s in machine.sensors if s.quantity in ("acceleration", "current")]
+        felt = [s.channel for s in machine.sensors if s.sensed.jumps]
         if felt:
             raise InputError(
                 f"machine {machine.name!r}: a differentiable stage has no readings of accelerations and currents; "

@@ -149,22 +149,23 @@ def sensor_signals(machine: Machine, sensors: Sequence[Sensor]) -> tuple[SignalS
 
 
 def _other_signal(machine: Machine, sensor: Sensor) -> SignalSpec:
-    """Specify the measurement of a sensor of a speed, an acceleration or a current."""
+    """Specify the measurement of a sensor of another quantity than a position."""
     name = machine.coordinate_of_sensor(sensor)
     coordinate = machine.coordinate(name)
-    if sensor.quantity == "speed":
-        largest = state_signals(machine, [name])[1].scale
-    elif sensor.quantity == "acceleration":
-        force = sum(
-            abs(d.gain) * d.rated_voltage / machine.coordinate(d.coordinate).travel_per_unit
-            for d in machine.drives
-        )
-        largest = (
-            force * coordinate.travel_per_unit / coordinate.mass
-        )  # of all drives at the coordinate alone
-    else:
-        drive = machine.drive(sensor.coordinate)
-        largest = drive.rated_voltage / drive.resistance
+    force = sum(  # along the belts, of all drives at standstill
+        abs(d.gain) * d.rated_voltage / machine.coordinate(d.coordinate).travel_per_unit
+        for d in machine.drives
+    )
+    match sensor.quantity:
+        case "speed":
+            largest = state_signals(machine, [name])[1].scale
+        case "acceleration":
+            largest = force * coordinate.travel_per_unit / coordinate.mass  # of the coordinate alone
+        case "tension":
+            largest = force
+        case _:
+            drive = machine.drive(sensor.coordinate)
+            largest = drive.rated_voltage / drive.resistance
     largest *= abs(sensor.row[sensor.coordinate])
     bound = SPEED_FACTOR * largest
     return SignalSpec(sensor.channel, machine.sensor_unit(sensor), name, False, -bound, bound, 0.0, largest)

@@ -127,7 +127,7 @@ def model_xml(
     sensors = "".join(
         f"<jointpos name={quoteattr(s.channel)} joint={names[s.coordinate]}/>"
         for s in machine.sensors
-        if drawn and dict(s.row) == {s.coordinate: 1.0}
+        if drawn and s.of_position and dict(s.row) == {s.coordinate: 1.0}
     )
     off = 'contact="disable" gravity="disable" limit="disable"' + ("" if drawn else ' sensor="disable"')
     option = (

@@ -15,7 +15,6 @@ from .components import (
     Row,
     Sensor,
     SensorKind,
-    SensorQuantity,
     Uncertainty,
 )
 from .declaration import (
@@ -49,6 +48,7 @@ from .motion import (
     rigid_motions,
 )
 from .presets import BUILTIN_MACHINES, with_constant_stiffness
+from .sensed_quantities import SENSED_QUANTITIES, SensedQuantity, SensorQuantity
 from .stage_geometry import (
     BeltGeometry,
     Box,
@@ -74,6 +74,7 @@ __all__ = [
     "METERS",
     "POSITIVE",
     "RADIANS",
+    "SENSED_QUANTITIES",
     "SENSOR_KINDS",
     "SIMULATORS",
     "UNITS",
@@ -101,6 +102,7 @@ __all__ = [
     "Numbers",
     "Point",
     "Row",
+    "SensedQuantity",
     "Sensor",
     "SensorKind",
     "SensorQuantity",

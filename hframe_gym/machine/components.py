@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Annotated, Any, ClassVar, Literal, cast, get_args
+from typing import Annotated, Any, ClassVar, cast, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -35,9 +35,9 @@ from .declaration import (
     declared_numbers,
 )
 from .effect import AppliedEffect, Effect
+from .sensed_quantities import SENSED_QUANTITIES, SensedQuantity, SensorQuantity
 
 Row = Mapping[str, float]
-SensorQuantity = Literal["position", "speed", "acceleration", "current"]
 
 
 @dataclass(frozen=True)
@@ -158,9 +158,10 @@ class DriveKind:
 
     @classmethod
     def damping(cls, gear_ratio: Any, law_parameters: Mapping[str, Any]) -> Any:
-        """Return how much a force of the law falls per speed of the coordinate within its limits, Ns/m or Nms.
+        """Return the viscous coefficient of a law: by how much the force that it makes falls per speed, Ns/m or Nms.
 
-        The integrator solves this part of the law exactly, so that a stiff loop needs no short steps.
+        It is that at the coordinate, while the torque is within its limits; 0 for a law without such a part. The
+        integrator solves it exactly, so that a stiff loop needs no short steps.
 
         Args:
             gear_ratio: Gear ratio of the drive, rad/m or rad/rad: float, array of any shape or expression.
@@ -413,7 +414,8 @@ class SensorKind:
 
         The name of the argument selects the quantity: "position", "speed" or "acceleration" is the sum of the sensor's
         coefficients (`Sensor.row`) times those of the coordinates (m, rad; per second; per second squared); "current"
-        is the sum of coefficients times the currents of the drives, A. A formula uses the operators + - * / and abs.
+        is the sum of coefficients times the currents of the drives, A, and "tension" that of coefficients times the
+        tensions of the belts beyond their pretension, N. A formula uses the operators + - * / and abs.
 
         Args:
             position: The quantity: float, array of any shape or symbolic expression.
@@ -527,6 +529,18 @@ class CurrentSensor(SensorKind):
         return current
 
 
+@SENSOR_KINDS.register("belt-force")
+class BeltForceSensor(SensorKind):
+    """A load cell at a pulley or a strain gauge on a clamp: the tension of a belt, N; the pretension is unknown."""
+
+    has_offset = True
+
+    @staticmethod
+    @override
+    def signal(tension: Any) -> Any:
+        return tension
+
+
 @SENSOR_KINDS.register("absolute-angle")
 class AbsoluteAngle(SensorKind):
     """An absolute encoder of one turn: the angle, whose zero is known, begins anew at 0 after 2 pi rad."""
@@ -541,7 +555,7 @@ class AbsoluteAngle(SensorKind):
 
 @dataclass(frozen=True)
 class Sensor(Component):
-    """One sensor, which measures the sum of coefficients times positions, speeds, accelerations or currents.
+    """One sensor, which measures the sum of coefficients times positions, speeds, accelerations, currents or tensions.
 
     Its unit is that of the quantity at the coordinate with the largest coefficient.
 
@@ -549,7 +563,7 @@ class Sensor(Component):
         channel: Column of its measurements in recordings; the name ends in the unit, for example _m, _rad, _m_s,
             _rad_s, _m_s2 or _A.
         row: Coefficient by name of a coordinate, usually {"x": 1.0}; or of a product of two: "y*yaw" adds the
-            coefficient times y * yaw to the position. For the kind "current", by name of a drive.
+            coefficient times y * yaw to the position. By name of a drive for a current, of a belt for a tension.
         noise: Standard deviation of the noise; 0 if it is below the resolution.
         resolution: Quantization step; 0 for a continuous sensor. An encoder on the motor shaft that is read in
             quadrature has 2 pi / (4 * lines * gear_ratio).
@@ -589,8 +603,18 @@ class Sensor(Component):
 
     @property
     def quantity(self) -> SensorQuantity:
-        """Quantity to which the sensor responds: "position", "speed", "acceleration" or "current"."""
+        """Name of the quantity to which the sensor responds, one of `SENSED_QUANTITIES`."""
         return SENSOR_KINDS.get(self.kind).quantity()
+
+    @property
+    def sensed(self) -> SensedQuantity:
+        """The quantity to which the sensor responds."""
+        return SENSED_QUANTITIES[self.quantity]
+
+    @property
+    def has_direction(self) -> bool:
+        """Whether the sensor measures the motion of coordinates and changes its sign with the direction."""
+        return self.sensed.component == "coordinate" and SENSOR_KINDS.get(self.kind).has_direction()
 
     @property
     def of_position(self) -> bool:

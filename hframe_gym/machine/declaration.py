@@ -58,8 +58,8 @@ UNITS: dict[CoordinateKind, dict[str, str]] = {
         "s/position": "s/rad",
     },
 }
-# Units of quantities of a motor, which are the same at linear and rotary coordinates.
-FIXED_UNITS = {"voltage": "V", "current": "A", "torque": "Nm"}
+# Units of quantities of motors and belts, which are the same at linear and rotary coordinates.
+FIXED_UNITS = {"voltage": "V", "current": "A", "torque": "Nm", "tension": "N"}
 
 
 @dataclass(frozen=True)

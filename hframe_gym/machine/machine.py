@@ -184,12 +184,20 @@ class Machine:
         return FIXED_UNITS.get(quantity) or self.coordinate(sensor.coordinate).unit(quantity)
 
     def coordinate_of_sensor(self, sensor: Sensor) -> str:
-        """Return the name of the coordinate that a sensor mainly measures, or that the drive of its current moves.
+        """Return the name of the coordinate that a sensor mainly measures.
+
+        That of a current is the one that the drive moves, that of a tension the one that stretches the belt most.
 
         Args:
             sensor: Sensor of this machine.
         """
-        return self.drive(sensor.coordinate).coordinate if sensor.quantity == "current" else sensor.coordinate
+        match sensor.sensed.component:
+            case "drive":
+                return self.drive(sensor.coordinate).coordinate
+            case "belt":
+                [extension] = [belt.extension for belt in self.belts if belt.name == sensor.coordinate]
+                return max(extension, key=lambda name: abs(extension[name]))
+        return sensor.coordinate
 
     def coordinate_of_site(self, site: str, kind: SiteKind) -> str | None:
         """Return the coordinate on which an effect acts: its site, what the drive moves or the sensor measures.

@@ -67,5 +67,4 @@ def with_turned(machine: Machine, coordinates: Sequence[str]) -> Machine:
 
 def _counts(machine: Machine, sensor: Sensor, coordinates: Sequence[str]) -> bool:
     """Return whether a sensor measures the motion of one of the coordinates with its direction."""
-    signed = sensor.of_position or sensor.of_velocity or sensor.quantity == "acceleration"
-    return signed and machine.coordinate_of_sensor(sensor) in coordinates
+    return sensor.has_direction and machine.coordinate_of_sensor(sensor) in coordinates

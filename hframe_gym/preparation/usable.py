@@ -88,7 +88,7 @@ def without_unknown_voltage(recording: Recording, machine: Machine) -> Recording
     Returns:
         Copy with measurements of shape (n, sensors); the same object if no sensor measures such a quantity.
     """
-    felt = np.array([s.quantity in ("acceleration", "current") for s in machine.sensors], np.bool_)
+    felt = np.array([s.sensed.jumps for s in machine.sensors], np.bool_)
     if not felt.any():
         return recording
     outputs = recording.outputs.copy()

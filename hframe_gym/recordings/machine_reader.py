@@ -14,6 +14,7 @@ from ..effects import EFFECTS, effect_sites, get_effect
 from ..errors import InputError
 from ..machine import (
     DRIVE_KINDS,
+    SENSED_QUANTITIES,
     SENSOR_KINDS,
     AppliedEffect,
     Attribute,
@@ -211,8 +212,13 @@ class MachineReader:
         products: bool = False,
         of: str = "coordinate",
     ) -> None:
-        """Refuse a row of coefficients that does not name coordinates, or drives, of the file."""
-        names = list(self._kinds) if of == "coordinate" else [drive.name for drive in self.content.drives]
+        """Refuse a row of coefficients that does not name coordinates, drives or belts of the file."""
+        components = {
+            "coordinate": self.content.coordinates,
+            "drive": self.content.drives,
+            "belt": self.content.belts,
+        }
+        names = [component.name for component in components[of]]
         for name in (factor for key in row for factor in (key.split("*") if products else (key,))):
             if name not in names:
                 raise self._error(field, f"no {of} is called {name!r}; there are {', '.join(names)}")
@@ -283,9 +289,10 @@ class MachineReader:
         kind = "laser" if entry.kind is None else entry.kind
         self._check_text("sensors.channel", entry.channel, column=True)
         self._check_kind(f"{field}.kind", kind, SENSOR_KINDS)
-        coordinate: CoordinateKind = "linear"  # a current has one unit
-        if SENSOR_KINDS.get(kind).quantity() == "current":
-            self._check_row(f"{field}.row", entry.row, of="drive")
+        coordinate: CoordinateKind = "linear"  # currents and tensions have one unit
+        component = SENSED_QUANTITIES[SENSOR_KINDS.get(kind).quantity()].component
+        if component != "coordinate":
+            self._check_row(f"{field}.row", entry.row, of=component)
         else:
             self._check_row(f"{field}.row", entry.row, products=True)
             coordinate = self._kinds[Sensor(entry.channel, entry.row).coordinate]

@@ -12,7 +12,7 @@ from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
 from hframe_gym.errors import InputError
 from hframe_gym.exporters import EXPORTERS
-from hframe_gym.machine import Machine, motion_limits, with_constant_stiffness
+from hframe_gym.machine import Machine, Sensor, motion_limits, with_constant_stiffness
 from hframe_gym.recordings import load_machine
 
 
@@ -55,8 +55,9 @@ def test_mujoco_moves_the_model_like_the_simulator(name: str) -> None:
 
 
 def test_the_sensors_have_the_names_of_the_channels(hframe: Machine) -> None:
-    root = ElementTree.fromstring(exported("mjcf", hframe))
-    assert [s.get("name") for s in root.iter("jointpos")] == list(hframe.output_channels)
+    others = Sensor("vx_m_s", {"x": 1.0}, kind="speed"), Sensor("i1_A", {"motor1": 1.0}, kind="current")
+    root = ElementTree.fromstring(exported("mjcf", hframe.replace(sensors=(*hframe.sensors, *others))))
+    assert [s.get("name") for s in root.iter("jointpos")] == list(hframe.output_channels)  # of positions
     assert [m.get("name") for m in root.iter("motor")] == list(hframe.input_channels)
 
 

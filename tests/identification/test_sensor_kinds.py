@@ -1,4 +1,4 @@
-"""Sensors of speeds, accelerations, currents and single-turn angles, from the formula to identification and control."""
+"""Sensors of speeds, accelerations, currents, belt forces and single-turn angles in simulation and identification."""
 
 import dataclasses
 
@@ -12,7 +12,7 @@ from hframe_gym.data_validation import check_recordings
 from hframe_gym.dynamics import linearize, simulate
 from hframe_gym.envs import DeclaredSensors
 from hframe_gym.envs.spaces import sensor_signals
-from hframe_gym.identification import identify
+from hframe_gym.identification import default_free_parameters, fit, identify, prepare
 from hframe_gym.identification.report.plots import readable_unit
 from hframe_gym.machine import SENSOR_KINDS, Coordinate, Drive, Machine, Sensor, SensorKind
 from hframe_gym.recordings import Recording, load_recording, machine_to_dict, save_machine, write_recording
@@ -36,6 +36,7 @@ ALL = (
     Sensor("i1_A", {"motor1": 1.0}, 0.01, 0.005, "current"),
     Sensor("w2_rad_s", {"phi2": 1.0}, 0.0, 0.1, "unsigned-speed"),
     Sensor("angle_rad", {"phi1": 1.0}, 0.0, 1e-3, "absolute-angle"),
+    Sensor("left_N", {"left": 1.0}, 0.1, 0.0, "belt-force"),
 )
 
 
@@ -69,13 +70,21 @@ def stage_machine() -> Machine:
     return machine.replace(sensors=(*machine.sensors, *ALL))
 
 
+def tension_of_left(stage: Stage) -> float:
+    """Return EA s / l of the left belt, N, from the positions of the other simulator: eq. 38 and 42 of the paper."""
+    (x, y, phi1, _), rig = stage.position, stage.rig
+    extension, length = x + y + rig.pulley_radius_m * phi1, rig.belt_length_m[0] + x + y
+    return float(rig.belt_EA_N[0] * extension / length)
+
+
 @pytest.mark.oracle
 def test_readings_agree_with_the_independent_simulator() -> None:
-    """The stage of the other simulator has the same accelerations and currents just before each command."""
+    """The other simulator has the same accelerations and currents just before each command, and tensions."""
     machine = load_machine("hframe")
     sensors = [Sensor(f"a_{c}", {c: 1.0}, kind="acceleration") for c in ("x", "y", "phi1", "phi2")]
     sensors += [Sensor(f"v_{c}", {c: 1.0}, kind="speed") for c in ("x", "y", "phi1", "phi2")]
     sensors += [Sensor(f"i_{d.name}", {d.name: 1.0}, kind="current") for d in machine.drives]
+    sensors += [Sensor("left_N", {"left": 1.0}, kind="belt-force")]
     machine = machine.replace(sensors=tuple(sensors))
     rig = Rig()
     machine = machine.replace(
@@ -85,10 +94,12 @@ def test_readings_agree_with_the_independent_simulator() -> None:
     time_s = np.arange(60) * 2e-3
     volts = np.repeat(rng.uniform(-8.0, 8.0, (6, 2)), 10, axis=0)
     stage = Stage(rig)
-    rows = [np.zeros(10)]
+    rows = [np.zeros(11)]
     for k in range(len(time_s) - 1):
         stage.step(volts[k], float(time_s[k + 1]))
-        rows.append(np.concatenate([stage.acceleration, stage.velocity, stage.current]))
+        rows.append(
+            np.concatenate([stage.acceleration, stage.velocity, stage.current, [tension_of_left(stage)]])
+        )
     expected = np.array(rows)
     readings = simulate(machine, time_s, volts, longest_step=2e-5).outputs
     size = np.abs(expected).max(axis=0)
@@ -132,6 +143,32 @@ def test_each_kind_identifies_the_axis_of_the_independent_simulator(name: str) -
     if name == "current":
         assert found["motor.resistance"] == pytest.approx(1.5, rel=2e-3)
         assert found["motor.Ke"] == pytest.approx(0.03, rel=5e-3)
+
+
+def test_a_measured_belt_force_determines_the_torque_constant() -> None:
+    """Without it, motion determines only the ratios of forces, masses and torque constants."""
+    machine = load_machine("belt-axis")
+    belt, drive = machine.belts[0].name, machine.drives[0].name
+    machine = machine.replace(
+        sensors=(*machine.sensors, Sensor("belt_N", {belt: 1.0}, 0.02, 0.0, "belt-force"))
+    )
+    factor = 1.15
+    names = [
+        n for n in machine.parameters if n.rpartition(".")[2] in ("mass", "viscous", "coulomb", "EA", "Kt")
+    ]
+    true = machine.replace({name: factor * machine.parameters[name] for name in names})
+    rng, time_s, recordings = np.random.default_rng(0), np.arange(600) * 1e-3, []
+    for k in range(2):
+        volts = np.repeat(rng.uniform(-8.0, 8.0, (15, len(machine.drives))), 40, axis=0)
+        volts[:40] = 0.0
+        outputs = simulate(true, time_s, volts).outputs
+        noise = rng.normal(size=outputs.shape) * [s.noise for s in machine.sensors]
+        outputs[:, -1] += 3.0  # an offset, as of a bridge amplifier
+        recordings.append(Recording(f"run_{k}", time_s, volts, outputs + noise))
+    found = fit(
+        machine, default_free_parameters(machine), prepare(recordings, machine), 60.0
+    ).machine.parameters
+    assert found[f"{drive}.Kt"] / machine.parameters[f"{drive}.Kt"] == pytest.approx(factor, rel=0.01)
 
 
 def test_the_formula_of_a_registered_kind_says_whether_it_measures_velocities() -> None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 from ...machine import HOOKS, Machine, argument_names
 from ..physics.equations import Equations
 from ..symbolic.elementwise import exp
-from ..symbolic.expressions import function_source
+from ..symbolic.expressions import Expression, function_source
 from ..symbolic.tracing import Trace
 from .step_trace import Layout, StepTrace, row_name
 
@@ -31,7 +31,7 @@ PER_DIRECTION = ("viscous", "correction_damping", "decay", "speed_gain", "first_
 
 def feels_forces(machine: Machine) -> bool:
     """Return whether a sensor measures an acceleration or a current, which depend on the voltages."""
-    return any(sensor.quantity in ("acceleration", "current") for sensor in machine.sensors)
+    return any(sensor.sensed.jumps for sensor in machine.sensors)
 
 
 class KernelSource:
@@ -158,8 +158,16 @@ class KernelSource:
             ]
             accelerations = [a / equations.radius(i) for i, a in enumerate(rows[: len(self._coordinates)])]
             currents = rows[len(self._coordinates) :]
-        for j, reading in enumerate(
-            equations.sensor_readings(positions, velocities, accelerations, currents)
-        ):
+        states: dict[int, Expression] = {}
+        if any(sensor.quantity == "tension" for sensor in self.machine.sensors):
+            first = 2 * len(self._coordinates) + 1
+            states = {
+                k: trace.load("state", first + row, f"effect_state_{k}")
+                for row, k in enumerate(equations.states)
+            }
+        readings = equations.sensor_readings(
+            positions, velocities, accelerations, currents, effect_states=states
+        )
+        for j, reading in enumerate(readings):
             trace.store("readings", j, reading)
         return trace

@@ -37,7 +37,6 @@ from ..symbolic.elementwise import (
     update_if_any,
     where,
 )
-from .belts import BeltEquations
 from .parameterized_machine import MotionPoint, Value
 from .signals import SignalEquations
 
@@ -58,7 +57,7 @@ class ForceBalance(NamedTuple):
     arguments: dict[int, dict[str, Value]]
 
 
-class Equations(BeltEquations, SignalEquations):
+class Equations(SignalEquations):
     """Equations of motion of one machine.
 
     All forces act along the belt travel of a coordinate: N on a carriage, torque / radius (N) on a pulley.

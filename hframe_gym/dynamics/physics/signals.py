@@ -8,11 +8,11 @@ from typing import Any
 
 from ...machine import SENSOR_KINDS
 from ..symbolic.elementwise import named
-from .belts import combination
-from .parameterized_machine import ParameterizedMachine, Value
+from .belts import BeltEquations, combination
+from .parameterized_machine import MotionPoint, Value
 
 
-class SignalEquations(ParameterizedMachine):
+class SignalEquations(BeltEquations):
     """Equations of the amplifiers and sensors of one machine.
 
     Args:
@@ -38,19 +38,25 @@ class SignalEquations(ParameterizedMachine):
         velocities: Sequence[Value] | None = None,
         accelerations: Sequence[Value] | None = None,
         currents: Sequence[Value] | None = None,
+        *,
+        effect_states: Mapping[int, Value] | None = None,
     ) -> list[Value]:
         """Compute the reading of every sensor, with its effects (scale, skew, ...) but without delay and noise.
 
         A position, speed or acceleration is a sum of those of coordinates (or of products of two positions) times the
-        coefficients in the sensor's `row`, a current one of those of drives; the formula of the sensor's kind gives the
-        reading. Values are floats, arrays of one common shape (...) or symbolic expressions.
+        coefficients in the sensor's `row`, a current one of those of drives, a tension one of those of belts; the
+        formula of the sensor's kind gives the reading. Values are floats, arrays of one common shape (...) or symbolic
+        expressions.
 
         Args:
             positions: Position of each coordinate, m or rad, in the machine's order, shape (...) each.
-            velocities: Velocity of each coordinate, m/s or rad/s, shape (...) each; needed for sensors of speeds.
+            velocities: Velocity of each coordinate, m/s or rad/s, shape (...) each; needed for sensors of speeds and of
+                tensions.
             accelerations: Acceleration of each coordinate, m/s^2 or rad/s^2, shape (...) each; needed for sensors of
                 accelerations.
             currents: Current of each drive, A, shape (...) each; needed for sensors of currents.
+            effect_states: State of each effect that has one, SI, shape (...) each, by index in `instances`; of those of
+                pulleys, tensions depend. Default: 0.
 
         Returns:
             Reading of every sensor in its unit, in the machine's order, shape (...) each.
@@ -65,19 +71,30 @@ class SignalEquations(ParameterizedMachine):
             "acceleration": accelerations if velocities is not None else None,
             "current": currents,
         }
+        if velocities is not None and any(s.quantity == "tension" for s in self.machine.sensors):
+            travel, speed = (
+                [value * self.radius(i) for i, value in enumerate(values)]
+                for values in (positions, velocities)
+            )
+            belts = self.belt_states(MotionPoint(travel, speed, effect_states=effect_states or {}))
+            motion["tension"] = [belt.tension for belt in belts]
+        components = {
+            "drive": [drive.name for drive in self.machine.drives],
+            "belt": [belt.name for belt in self.machine.belts],
+        }
         readings = []
         for j, sensor in enumerate(self.machine.sensors):
             quantity = sensor.quantity
-            if motion[quantity] is None:
+            if motion.get(quantity) is None:
                 raise ValueError(
                     f"sensor {sensor.channel}: the reading needs the {quantity} of every component"
                 )
-            if quantity == "current":
-                drives = [d.name for d in self.machine.drives]
-                row = {drives.index(key): coefficient for key, coefficient in sensor.row.items()}
-                reading = combination(row, motion[quantity])
-            else:
+            if sensor.sensed.component == "coordinate":
                 reading = self._combined(sensor.row, quantity, motion)
+            else:
+                of_kind = components[sensor.sensed.component]
+                row = {of_kind.index(key): coefficient for key, coefficient in sensor.row.items()}
+                reading = combination(row, motion[quantity])
             reading = SENSOR_KINDS.get(sensor.kind).signal(reading)
             # Skew depends on the position of the other carriage.
             across = self.machine.other_axis(sensor.coordinate)

@@ -280,7 +280,8 @@ def default_free_parameters(machine: Machine, *, effects: bool = True) -> tuple[
     - Mass, viscous friction and dry friction of every coordinate.
     - The stiffness EA of every belt section. For a section whose length changes with the position of the machine, also
       its constant part `rest_length`, the length at position 0.
-    - The torque constant Kt of every drive but the first, and nonzero back-EMF constants Ke.
+    - The torque constant Kt of every drive but the first (of all if a sensor measures forces), and nonzero back-EMF
+      constants Ke.
     - The gains and limits of every drive that follows a set point, without those at their defaults.
     - The resistance of every drive whose current is measured, which separates its electrical from its mechanical side.
     - The parameters of declared effects.
@@ -288,7 +289,7 @@ def default_free_parameters(machine: Machine, *, effects: bool = True) -> tuple[
     Left out are parameters that the machine ties to others, and the torque constant of the first drive (the
     `unit_of_force` of a drive with a law, unless its torque or current is measured). If all torque constants, masses,
     friction forces and stiffnesses are multiplied by the same factor, the same voltages cause the same motion.
-    Recordings therefore do not determine this factor; the first torque constant sets it.
+    Recordings without a sensor of forces therefore do not determine this factor; the first torque constant sets it.
 
     Friction that is declared as zero may become positive. Back-EMF acts like viscous friction, so the data determine
     only their sum. Both are free, because this sum may be smaller than the declared back-EMF alone.
@@ -307,13 +308,14 @@ def default_free_parameters(machine: Machine, *, effects: bool = True) -> tuple[
         if belt.length:
             free.append(FreeParameter(f"{belt.name}.rest_length", belt.rest_length, prior=_LENGTH_PRIOR))
     sensed = {name for sensor in machine.sensors if sensor.quantity == "current" for name in sensor.row}
-    free += [
-        FreeParameter(f"{drive.name}.Kt", drive.Kt, prior=_MOTOR_PRIOR)
-        for drive in machine.drives[1:]
-        if not drive.law
-    ]
+    force_is_measured = any(sensor.sensed.is_force for sensor in machine.sensors)
     for drive in machine.drives:
-        free += _law_parameters(drive, anchored=drive is machine.drives[0] and drive.name not in sensed)
+        sets_unit = drive is machine.drives[0] and not force_is_measured
+        if not drive.law and not sets_unit:
+            free.append(FreeParameter(f"{drive.name}.Kt", drive.Kt, prior=_MOTOR_PRIOR))
+    for drive in machine.drives:
+        sets_unit = drive is machine.drives[0] and not force_is_measured
+        free += _law_parameters(drive, anchored=sets_unit and drive.name not in sensed)
     resistances = [drive for drive in machine.drives if drive.name in sensed and not drive.law]
     free += [
         FreeParameter(f"{drive.name}.resistance", drive.resistance, prior=_MOTOR_PRIOR)
