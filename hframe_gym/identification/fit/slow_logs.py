@@ -5,7 +5,7 @@ slow log, interpolation spreads this voltage over the intervals on both sides of
 err by some 20 mV, and least squares fail in three ways:
 
 - The voltage before a row already contains the answer to the measurement of the row. Least squares take the correlation
-  of both for an effect of the voltage on the motion: pulleys seemed 5 to 20 % heavier. Therefore the residual must not
+  of both for an effect of the voltage on the motion: pulleys seemed up to 13 % heavier. Therefore the residual must not
   be orthogonal to the derivatives themselves, but to *instruments*: derivatives computed from smoothed voltages and
   measurements, which follow the motion as well and hardly contain single rounding errors.
 - The errors of the voltages push the machine about, so that the residual is correlated in time and between sensors. An
