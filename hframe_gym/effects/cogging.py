@@ -1,4 +1,7 @@
-"""Torque that varies with the angle of the motor, A sin(n q + p): detent torque or commutation ripple."""
+"""Torque that varies with the angle of the motor, A sin(n q + p): detent torque, or the teeth of a belt.
+
+The teeth of a belt of pitch t on a pulley of radius r have n = 2 pi r / t.
+"""
 
 from ..dynamics.elementwise import sin
 from ..machine import Effect, EffectParameter
