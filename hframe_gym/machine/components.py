@@ -402,11 +402,14 @@ class SensorKind:
         has_offset: Whether the measurements have an unknown constant offset, as those of an accelerometer do, which
             also feels gravity. Comparisons with a simulation then ignore the mean of the difference.
         turn: Size of the range after which the measurement begins anew, in the channel's unit; None if it does not.
+        unit: Unit of the measurement, if it is not that of the quantity: V for the generator of a tachometer, whose
+            coefficients in `Sensor.row` are in V per rad/s.
     """
 
     incremental: ClassVar[bool] = False
     has_offset: ClassVar[bool] = False
     turn: ClassVar[float | None] = None
+    unit: ClassVar[str] = ""
 
     @staticmethod
     def signal(position: Any) -> Any:
@@ -415,13 +418,14 @@ class SensorKind:
         The name of the argument selects the quantity: "position", "speed" or "acceleration" is the sum of the sensor's
         coefficients (`Sensor.row`) times those of the coordinates (m, rad; per second; per second squared); "current"
         is the sum of coefficients times the currents of the drives, A, and "tension" that of coefficients times the
-        tensions of the belts beyond their pretension, N. A formula uses the operators + - * / and abs.
+        tensions of the belts beyond their pretension, N. A formula uses the operators + - * / and abs. A constant
+        factor belongs in the coefficients, by which initial states and observers divide.
 
         Args:
             position: The quantity: float, array of any shape or symbolic expression.
 
         Returns:
-            Ideal measurement in the unit of the quantity, of the same shape.
+            Ideal measurement in the unit of the quantity, or in `unit`, of the same shape.
         """
         return position
 
@@ -592,7 +596,7 @@ class Sensor(Component):
         units = FIXED_UNITS | UNITS[coordinate]
         return Variant(
             title=f"a sensor of the kind {kind!r}",
-            units=units | {"measurement": units[quantity]},
+            units=units | {"measurement": SENSOR_KINDS.get(kind).unit or units[quantity]},
             absent={} if quantity == "position" else {"zero": None},
         )
 

@@ -178,10 +178,9 @@ class Machine:
             sensor: Sensor of this machine.
 
         Returns:
-            The unit, for example "m", "rad/s" or "A".
+            The unit, for example "m", "rad/s" or "A", or what the kind of the sensor states.
         """
-        quantity = sensor.quantity
-        return FIXED_UNITS.get(quantity) or self.coordinate(sensor.coordinate).unit(quantity)
+        return self.variant(sensor).units["measurement"]
 
     def coordinate_of_sensor(self, sensor: Sensor) -> str:
         """Return the name of the coordinate that a sensor mainly measures.

@@ -171,6 +171,33 @@ def test_a_measured_belt_force_determines_the_torque_constant() -> None:
     assert found[f"{drive}.Kt"] / machine.parameters[f"{drive}.Kt"] == pytest.approx(factor, rel=0.01)
 
 
+def test_a_kind_may_state_its_unit(tmp_path) -> None:
+    """The generator of a tachometer: 0.02 V per rad/s."""
+
+    @SENSOR_KINDS.register("generator")
+    class Generator(SensorKind):
+        unit = "V"
+
+        @staticmethod
+        def signal(speed):
+            return speed
+
+    try:
+        machine = motor((ENCODER, Sensor("generator_V", {"shaft": 0.02}, 1e-3, 0.0, "generator")))
+        save_machine(machine, tmp_path / "motor.json")
+        loaded = load_machine(tmp_path / "motor.json")
+        assert loaded.sensors == machine.sensors
+        assert [loaded.sensor_unit(s) for s in loaded.sensors] == ["rad", "V"]
+        assert loaded.unit("generator_V.noise") == "V"
+        volts = np.full((40, 1), 6.0)
+        moved = simulate(loaded, np.arange(40) * PERIOD, volts)
+        np.testing.assert_allclose(moved.outputs[:, 1], 0.02 * moved.velocities[:, 0])
+        signal = sensor_signals(loaded, loaded.sensors)[1]
+        assert (signal.name, signal.unit) == ("generator_V", "V")
+    finally:
+        SENSOR_KINDS.unregister("generator")
+
+
 def test_the_formula_of_a_registered_kind_says_whether_it_measures_velocities() -> None:
     @SENSOR_KINDS.register("geared-tacho")
     class GearedTacho(SensorKind):

@@ -64,7 +64,12 @@ class Kernel:
 
 
 def generate_kernel(machine: Machine, *, forced: bool = False) -> tuple[str, KernelSource]:
-    """Return the source text of a kernel, and what it was generated from; parameter values do not matter."""
+    """Return the source text of a kernel, and what it was generated from.
+
+    Args:
+        machine: Any machine of the shape; its parameter values do not matter.
+        forced: Whether an external force acts on every coordinate.
+    """
     source = KernelSource(machine, forced=forced)
     components = {
         "coordinates": machine.coordinates,
