@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...dynamics import simulate, simulate_batch
+from ...dynamics import resolved_step, simulate, simulate_batch
 from ...machine import Machine, Trajectory
 from ...preparation.encoder_zeros import EncoderZeros
 from ...preparation.initial_state import measured_initial_state, model_initial_states
@@ -92,7 +92,7 @@ def simulate_recording(
         *_updated(cleaned, updates),
         initial.start(machine),
         offset=initial.zeros,
-        longest_step=POLISH_STEP,
+        longest_step=resolved_step(machine, POLISH_STEP),
     )
     rows = np.flatnonzero(recorded) * updates
     trajectory = dataclasses.replace(
@@ -173,12 +173,12 @@ def _initial_state(
     max_means = max_zero_means(free_zeros(machine), quanta)
     measured = np.isfinite(usable.outputs)
     zeroed = has_zero(machine)
-    updated = _updated(recording, updates)
+    updated, step_s = _updated(recording, updates), resolved_step(machine, POLISH_STEP)
 
     def errors(states: Array, outputs: Array) -> Array:
         """Return measured minus simulated values in the first k rows, 0 if not measured, shape (B, k, sensors)."""
         time_s, inputs = (values[: (len(outputs) - 1) * updates + 1] for values in updated)
-        motion = simulate_batch(machine, time_s, inputs, start=states, states=False, longest_step=POLISH_STEP)
+        motion = simulate_batch(machine, time_s, inputs, start=states, states=False, longest_step=step_s)
         return np.where(np.isfinite(outputs), outputs - motion.readings[:, ::updates], 0.0)
 
     def weighted_errors(states: Array, count: int) -> Array:
