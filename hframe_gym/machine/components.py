@@ -29,10 +29,8 @@ from .declaration import (
     Component,
     CoordinateKind,
     Number,
-    Numbers,
-    Text,
+    Plain,
     Variant,
-    declared_numbers,
 )
 from .effect import AppliedEffect, Effect
 from .sensed_quantities import SENSED_QUANTITIES, SensedQuantity, SensorQuantity
@@ -61,11 +59,11 @@ class Coordinate(Component):
             side of zero.
     """
 
-    name: Annotated[str, Text("name")]
+    name: Annotated[str, Plain("name")]
     mass: Annotated[float, Number("mass", role="parameter")]
     viscous: Annotated[float, Number("viscous", lower=0.0, role="parameter")] = 0.0
     coulomb: Annotated[float, Number("force", lower=0.0, role="parameter")] = 0.0
-    kind: Annotated[CoordinateKind, Text()] = "linear"
+    kind: Annotated[CoordinateKind, Plain("text")] = "linear"
     radius: Annotated[float, Number("m", role="parameter", plausible=1.0)] = 1.0
     range: Annotated[tuple[float, float] | None, Number("position", plausible=10.0)] = None
 
@@ -93,7 +91,7 @@ class Coordinate(Component):
             KeyError: If the quantity is none of these.
         """
         units = FIXED_UNITS | UNITS[self.kind]
-        declared = declared_numbers(type(self)).get(quantity)
+        declared = self.numbers().get(quantity)
         return units[quantity] if declared is None else units.get(declared.unit, declared.unit)
 
 
@@ -117,7 +115,7 @@ class Belt(Component):
             `extension`. Empty (default): constant stiffness.
     """
 
-    name: Annotated[str, Text("name")]
+    name: Annotated[str, Plain("name")]
     EA: Annotated[float, Number("N", role="parameter")]
     rest_length: Annotated[float, Number("m", role="parameter", plausible=50.0)]
     extension: Row
@@ -272,8 +270,8 @@ class Drive(Component):
 
     kinds: ClassVar[Registry[Any] | None] = DRIVE_KINDS
 
-    name: Annotated[str, Text("name")]
-    channel: Annotated[str, Text("column")]
+    name: Annotated[str, Plain("name")]
+    channel: Annotated[str, Plain("column")]
     coordinate: str
     Kt: Annotated[float, Number("Nm/A", role="parameter")]
     Ke: Annotated[float, Number("Vs/rad", lower=0.0, role="parameter")]
@@ -283,10 +281,12 @@ class Drive(Component):
         default=None, kw_only=True
     )
     rated_voltage: Annotated[float, Number("command")]
-    law_parameters: Annotated[Mapping[str, float], Numbers()] = field(default_factory=dict, kw_only=True)
+    law_parameters: Annotated[Mapping[str, float], Plain("numbers", "omitted")] = field(
+        default_factory=dict, kw_only=True
+    )
     converter_bits: Annotated[int, Number("1", 0, 32, role="device", presence="written")] = 0
-    kind: Annotated[str, Text(presence="omitted")] = "voltage"
-    supply: Annotated[str, Text("column", presence="omitted")] = ""
+    kind: Annotated[str, Plain("text", "omitted")] = "voltage"
+    supply: Annotated[str, Plain("column", "omitted")] = ""
 
     def __post_init__(self) -> None:
         """Complete the parameters of the law by their defaults."""
@@ -581,11 +581,11 @@ class Sensor(Component):
 
     kinds: ClassVar[Registry[Any] | None] = SENSOR_KINDS
 
-    channel: Annotated[str, Text("column")]
+    channel: Annotated[str, Plain("column")]
     row: Row
     noise: Annotated[float, Number("measurement", lower=0.0, role="device", plausible=0.1)] = 0.0
     resolution: Annotated[float, Number("measurement", lower=0.0, role="device", plausible=0.1)] = 0.0
-    kind: Annotated[str, Text(presence="written")] = "laser"
+    kind: Annotated[str, Plain("text", "written")] = "laser"
     zero: Annotated[float | None, Number("position", lower=-LARGEST, std="zero_std")] = None
     zero_std: float | None = None
 

@@ -26,37 +26,26 @@ Presence = Literal["required", "written", "omitted"]
 Role = Literal["parameter", "device", ""]
 POSITIVE, LARGEST = 1e-30, 1e30  # beyond these, products of a few parameters vanish or overflow
 
-# Units of the quantities of a coordinate, by its kind. An effect states the unit of a parameter by one of these keys,
-# because it is N at a carriage and Nm at a pulley, for example. Two keys need an explanation: "absolute position" is a
-# place, such as that of a magnet, whereas "position" is a distance, such as a period, which a search scales by the
-# typical travel; "rad/position" is a phase per position.
+# Units of the quantities of a linear and of a rotary coordinate. An effect states the unit of a parameter by one of
+# these keys, because it is N at a carriage and Nm at a pulley, for example. Two keys need an explanation: "absolute
+# position" is a place, such as that of a magnet, whereas "position" is a distance, such as a period, which a search
+# scales by the typical travel; "rad/position" is a phase per position.
+_UNITS = {
+    "position": ("m", "rad"),
+    "absolute position": ("m", "rad"),
+    "speed": ("m/s", "rad/s"),
+    "mass": ("kg", "kg m^2"),
+    "force": ("N", "Nm"),
+    "viscous": ("Ns/m", "Nms"),
+    "stiffness": ("N/m", "Nm/rad"),
+    "drag": ("Ns^2/m^2", "Nms^2"),
+    "rad/position": ("rad/m", "1"),
+    "acceleration": ("m/s^2", "rad/s^2"),
+    "s/position": ("s/m", "s/rad"),
+}
 UNITS: dict[CoordinateKind, dict[str, str]] = {
-    "linear": {
-        "position": "m",
-        "absolute position": "m",
-        "speed": "m/s",
-        "mass": "kg",
-        "force": "N",
-        "viscous": "Ns/m",
-        "stiffness": "N/m",
-        "drag": "Ns^2/m^2",
-        "rad/position": "rad/m",
-        "acceleration": "m/s^2",
-        "s/position": "s/m",
-    },
-    "rotary": {
-        "position": "rad",
-        "absolute position": "rad",
-        "speed": "rad/s",
-        "mass": "kg m^2",
-        "force": "Nm",
-        "viscous": "Nms",
-        "stiffness": "Nm/rad",
-        "drag": "Nms^2",
-        "rad/position": "1",
-        "acceleration": "rad/s^2",
-        "s/position": "s/rad",
-    },
+    "linear": {quantity: linear for quantity, (linear, _) in _UNITS.items()},
+    "rotary": {quantity: rotary for quantity, (_, rotary) in _UNITS.items()},
 }
 # Units of quantities of motors and belts, which are the same at linear and rotary coordinates.
 FIXED_UNITS = {"voltage": "V", "current": "A", "torque": "Nm", "tension": "N"}
@@ -89,26 +78,16 @@ class Number:
 
 
 @dataclass(frozen=True)
-class Numbers:
-    """Declaration of several numbers by name; the kind of the component states names, units and bounds.
+class Plain:
+    """Declaration of an attribute that is no number.
 
     Attributes:
-        presence: Whether machine.json has them.
-    """
-
-    presence: Presence = "omitted"
-
-
-@dataclass(frozen=True)
-class Text:
-    """Declaration of a text.
-
-    Attributes:
-        form: "name" of a component: letters, digits and underscores. "column" of recordings. "": any text.
+        form: "name" of a component: letters, digits and underscores. "column" of recordings. "text": any text.
+            "numbers" by name; the kind of the component states their names, units and bounds.
         presence: Whether machine.json has it.
     """
 
-    form: Literal["name", "column", ""] = ""
+    form: Literal["name", "column", "text", "numbers"]
     presence: Presence = "required"
 
 
@@ -126,16 +105,11 @@ class Attribute:
     """
 
     name: str
-    declared: Number | Numbers | Text | None
+    declared: Number | Plain | None
     type: Any
     default: Any
     presence: Presence
     description: str
-
-    @property
-    def is_text(self) -> bool:
-        """Whether it is a text, or one of several."""
-        return self.type is str or get_origin(self.type) is Literal
 
 
 @dataclass(frozen=True)
@@ -164,6 +138,11 @@ class Variant:
         """Return the name of an attribute in machine.json."""
         return self.fields.get(name, name)
 
+    def own(self, component: type[Component]) -> dict[str, Attribute]:
+        """Return the attributes that such a component has, by their names in machine.json."""
+        own = (a for a in component.attributes().values() if a.name not in self.absent)
+        return {self.field(attribute.name): attribute for attribute in own}
+
 
 class Component:
     """Base class of coordinates, belts, drives and sensors: what follows from the declarations of their attributes.
@@ -190,15 +169,50 @@ class Component:
         pairs = itertools.product(cls.kinds or ("",), UNITS)
         return {(kind, coordinate): cls.variant(coordinate, kind) for kind, coordinate in pairs}
 
+    @classmethod
+    @cache
+    def attributes(cls) -> Mapping[str, Attribute]:
+        """Return the attributes by name, texts first, then in the order of the class, which machine.json has too."""
+        hints = get_type_hints(cls, include_extras=True)
+        described = descriptions(cls)
+        found = []
+        for info in dataclasses.fields(cls):  # type: ignore[arg-type]
+            hint = hints[info.name]
+            value_type, declared = get_args(hint) if get_origin(hint) is Annotated else (hint, None)
+            default = info.default_factory() if callable(info.default_factory) else info.default
+            presence: Presence = "required" if default is dataclasses.MISSING else "written"
+            if declared is not None:
+                presence = declared.presence
+            if NoneType in get_args(value_type):
+                value_type, presence = get_args(value_type)[0], "omitted"
+            text = described.get(info.name, "")
+            found.append(Attribute(info.name, declared, value_type, default, presence, text))
+        deviations = {a.declared.std for a in found if isinstance(a.declared, Number)}
+        found.sort(key=lambda a: not (a.type is str or get_origin(a.type) is Literal))
+        return {a.name: a for a in found if a.name not in deviations}
+
+    @classmethod
+    @cache
+    def numbers(cls) -> Mapping[str, Number]:
+        """Return the declared numbers by name."""
+        declared = {name: attribute.declared for name, attribute in cls.attributes().items()}
+        return {name: number for name, number in declared.items() if isinstance(number, Number)}
+
+    @classmethod
+    @cache
+    def _names(cls, role: Role) -> tuple[str, ...]:
+        """Return the names of the parameters with a role."""
+        return tuple(name for name, number in cls.numbers().items() if number.role == role)
+
     @property
     def label(self) -> str:
         """Name of the component in the full names of its parameters: its first attribute."""
-        return str(getattr(self, next(iter(attributes(type(self))))))
+        return str(getattr(self, next(iter(self.attributes()))))
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
         """Names of the parameters that can be identified or randomized."""
-        return names_of_role(type(self), "parameter")
+        return self._names("parameter")
 
     @property
     def parameter_values(self) -> dict[str, float]:
@@ -208,58 +222,13 @@ class Component:
     @property
     def device_parameters(self) -> dict[str, float]:
         """Values of the parameters that do not enter the equations of motion, by name in alphabetical order."""
-        return {name: getattr(self, name) for name in sorted(names_of_role(type(self), "device"))}
+        return {name: getattr(self, name) for name in sorted(self._names("device"))}
 
     def with_values(self, values: Mapping[str, Any]) -> Any:
         """Return a copy with other values of attributes, SI, by name; whole numbers are rounded."""
-        whole = {name for name in values if attributes(type(self))[name].type is int}
+        whole = {name for name in values if self.attributes()[name].type is int}
         new = {name: round(value) if name in whole else value for name, value in values.items()}
         return dataclasses.replace(self, **new)  # type: ignore[type-var]
-
-
-def attributes(component: type) -> Mapping[str, Attribute]:
-    """Return the attributes of a component, texts first, then in the order of its class, which machine.json has too."""
-    return _attributes(component)
-
-
-@cache
-def _attributes(component: type) -> Mapping[str, Attribute]:
-    """Read the attributes of a component from its class."""
-    hints = get_type_hints(component, include_extras=True)
-    described = descriptions(component)
-    found = []
-    for info in dataclasses.fields(component):
-        hint = hints[info.name]
-        annotated, *declarations = get_args(hint) if get_origin(hint) is Annotated else (hint,)
-        types = [part for part in get_args(annotated) if part is not NoneType]
-        optional = NoneType in get_args(annotated)
-        default = info.default_factory() if callable(info.default_factory) else info.default
-        presence: Presence = "required" if default is dataclasses.MISSING else "written"
-        declared = declarations[0] if declarations else None
-        presence = "omitted" if optional else declared.presence if declared else presence
-        value_type = types[0] if optional else annotated
-        text = described.get(info.name, "")
-        found.append(Attribute(info.name, declared, value_type, default, presence, text))
-    deviations = {a.declared.std for a in found if isinstance(a.declared, Number)}
-    own = [a for a in found if a.name not in deviations]
-    return {a.name: a for a in sorted(own, key=lambda a: not a.is_text)}
-
-
-def declared_numbers(component: type) -> dict[str, Number]:
-    """Return the declared numbers of a component by name."""
-    declared = {name: attribute.declared for name, attribute in attributes(component).items()}
-    return {name: quantity for name, quantity in declared.items() if isinstance(quantity, Number)}
-
-
-def names_of_role(component: type, role: Role) -> tuple[str, ...]:
-    """Return the names of the parameters of a component that have a role."""
-    return _names_of_role(component, role)
-
-
-@cache
-def _names_of_role(component: type, role: Role) -> tuple[str, ...]:
-    """Collect the names of the parameters of a component that have a role."""
-    return tuple(name for name, quantity in declared_numbers(component).items() if quantity.role == role)
 
 
 def summary(documented: type) -> str:

@@ -29,7 +29,7 @@ from .components import (
     Sensor,
     Uncertainty,
 )
-from .declaration import FIXED_UNITS, UNITS, Component, Variant, declared_numbers
+from .declaration import FIXED_UNITS, UNITS, Component, Variant
 from .effect import AppliedEffect, SiteKind
 from .trajectory import SIMULATORS, Trajectory
 
@@ -317,7 +317,7 @@ class Machine:
             return self.effect_unit(effect, key)
         for component in (*self.sensors, *self.coordinates, *self.belts, *self.drives):
             if component.label == owner:
-                declared = declared_numbers(type(component)).get(key)
+                declared = component.numbers().get(key)
                 if declared is not None:
                     return self.variant(component).unit(key, declared)
                 if isinstance(component, Drive) and key in component.law_parameters:

@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from ..atomic_files import write_text
 from ..errors import InputError, suggestion
 from ..file_limits import read_document
-from ..machine import BUILTIN_MACHINES, Component, Machine, Number, Numbers, attributes
+from ..machine import BUILTIN_MACHINES, Component, Machine, Number, Plain
 from .machine_reader import MachineReader
 from .machine_schema import (
     COMPONENTS,
@@ -121,20 +121,19 @@ def _component_entry(machine: Machine, component: Component) -> dict[str, Any]:
     """Return a component as machine.json describes it: the attributes of its class, in their order."""
     variant = machine.variant(component)
     entry: dict[str, Any] = {}
-    for name, attribute in attributes(type(component)).items():
-        value, declared = getattr(component, name), attribute.declared
-        if isinstance(declared, Numbers):
-            value = {key: v for key, v in value.items() if variant.defaults.get(key) != v}
-            value = {key: _quantity(machine, f"{component.label}.{key}", v) for key, v in value.items()}
-        left_out = attribute.presence == "omitted" and value in (None, attribute.default)
-        if name in variant.absent or left_out:
+    for key, attribute in variant.own(type(component)).items():
+        value, declared = getattr(component, attribute.name), attribute.declared
+        if isinstance(declared, Plain) and declared.form == "numbers":
+            stated = {name: v for name, v in value.items() if variant.defaults.get(name) != v}
+            value = {name: _quantity(machine, f"{component.label}.{name}", v) for name, v in stated.items()}
+        if attribute.presence == "omitted" and value in (None, attribute.default):
             continue
         if isinstance(declared, Number) and attribute.type is float:
             std = getattr(component, declared.std) if declared.std else None
-            value = _quantity(machine, f"{component.label}.{name}", value, std)
+            value = _quantity(machine, f"{component.label}.{attribute.name}", value, std)
         elif isinstance(value, Mapping):
             value = dict(value)
-        entry[variant.field(name)] = list(value) if isinstance(value, tuple) else value
+        entry[key] = list(value) if isinstance(value, tuple) else value
     return entry
 
 

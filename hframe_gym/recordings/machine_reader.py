@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,12 +26,10 @@ from ..machine import (
     Effect,
     Machine,
     Number,
+    Plain,
     Sensor,
-    Text,
     Uncertainty,
     Variant,
-    attributes,
-    declared_numbers,
     pulley_names,
     rigid_motions,
 )
@@ -118,16 +116,15 @@ class MachineReader:
         return {c.name: c.kind for c in self.content.coordinates}
 
     def _error(self, field: str, reason: str) -> InputError:
-        """Create an error that names the file and the field.
-
-        Args:
-            field: Dotted name of the field, such as "drives.motor1.Kt".
-            reason: What is wrong and what to do.
-
-        Returns:
-            The error.
-        """
+        """Return an error that names the file and the field, such as "drives.motor1.Kt", and says what to do."""
         return InputError(f"{self.path}: {field}: {reason}")
+
+    def _has_none(self, field: str, variant: Variant, kinds: Iterable[str]) -> InputError:
+        """Return an error for a field that a component lacks, with the kinds of the component that have it."""
+        having = ", ".join(filter(None, dict.fromkeys(kinds)))
+        return self._error(
+            field, f"{variant.title} has none; delete it{having and f' (others have it: {having})'}"
+        )
 
     def _check_text(self, field: str, text: str, *, column: bool = False) -> None:
         """Refuse texts that would break a line, control a terminal or break the header of a CSV file."""
@@ -147,14 +144,16 @@ class MachineReader:
         self, component: type[Component], entry: Any, variant: Variant, field: str
     ) -> dict[str, Any]:
         """Return the attributes of a component by name; check that it has them, and their units and bounds."""
-        declared = attributes(component)
-        own = {variant.field(name): a for name, a in declared.items() if name not in variant.absent}
-        others = (
-            set(type(entry).model_fields) - set(own) - set(EFFECT_FIELDS.get(component, {})) - {"comment"}
-        )
-        surplus = next((key for key in sorted(others) if getattr(entry, key) not in (None, {})), None)
-        if surplus is not None:
-            raise self._error(f"{field}.{surplus}", f"{variant.title} has none; delete it")
+        own = {
+            variant.field(a.name): a for a in component.attributes().values() if a.name not in variant.absent
+        }
+        known = {*own, *EFFECT_FIELDS.get(component, {}), "comment"}
+        for key in sorted(set(type(entry).model_fields) - known):
+            if getattr(entry, key) not in (None, {}):
+                kinds = [
+                    kind for (kind, _), other in component.variants().items() if key in other.own(component)
+                ]
+                raise self._has_none(f"{field}.{key}", variant, kinds)
         values = dict(variant.absent)
         for key, attribute in own.items():
             name, given = attribute.name, getattr(entry, key)
@@ -163,14 +162,14 @@ class MachineReader:
             elif name in variant.defaults:
                 values[name] = variant.defaults[name]
             elif attribute.presence == "required":
-                unit = variant.unit(name, declared_numbers(component)[name])
+                unit = variant.unit(name, component.numbers()[name])
                 raise self._error(f"{field}.{key}", f'missing; write {{"value": ..., "unit": "{unit}"}}')
         return values
 
     def _value(self, field: str, attribute: Attribute, given: Any, variant: Variant) -> dict[str, Any]:
         """Return an attribute, and its standard deviation if it is one, by name; check unit, bounds and text."""
         name, declared = attribute.name, attribute.declared
-        if isinstance(declared, Text) and declared.form == "column":
+        if isinstance(declared, Plain) and declared.form == "column":
             self._check_text(field, given, column=True)
         if not isinstance(declared, Number):
             return {name: given}
@@ -312,40 +311,33 @@ class MachineReader:
             if given is None:
                 continue
             if not effect_field.fits(kind):
-                raise self._error(place, f"{variant.title} has none; delete it")
-            if effect_field.quantity is not None:
-                self._check_quantity(place, given, effect_field.quantity, effect_field.quantity.unit)
-            else:
+                registry: Any = component.kinds
+                kinds = [name for name in registry if effect_field.fits(registry.get(name))]
+                raise self._has_none(place, variant, kinds)
+            if effect_field.number is None:
                 self._check_interval(place, given)
+            else:
+                self._check_quantity(place, given, effect_field.number, effect_field.number.unit)
 
     def _declared_effects(self, machine: Machine) -> list[EffectEntry]:
         """Return the effects that fields of sensors and drives declare (`EFFECT_FIELDS`)."""
 
         def declare(declared: EffectField, site: str, given: Any) -> EffectEntry:
-            values = (
-                declared.parameters(*given) if isinstance(given, tuple) else declared.parameters(given.value)
-            )
+            values = declared.parameters(*(given if isinstance(given, tuple) else (given.value,)))
             effect = AppliedEffect(get_effect(declared.effect), site, values)
-            entries = {
-                key: QuantityEntry(value=value, unit=machine.effect_unit(effect, key))
-                for key, value in values.items()
-            }
+            units = {key: machine.effect_unit(effect, key) for key in values}
+            entries = {key: QuantityEntry(value=value, unit=units[key]) for key, value in values.items()}
             return EffectEntry(name=declared.effect, site=site, parameters=entries)
 
         effects = []
         for sensor in self.content.sensors:
-            stated = {key: getattr(sensor, key) for key in EFFECT_FIELDS[Sensor]}
-            effects += [
-                declare(EFFECT_FIELDS[Sensor][key], sensor.channel, given)
-                for key, given in stated.items()
-                if given is not None
-            ]
+            for key, declared in EFFECT_FIELDS[Sensor].items():
+                if (given := getattr(sensor, key)) is not None:
+                    effects.append(declare(declared, sensor.channel, given))
         drives = self.content.drives
         for key, declared in EFFECT_FIELDS[Drive].items():
-            stated = {drive.name: getattr(drive, key) for drive in drives if getattr(drive, key) is not None}
-            equal = len(stated) == len(drives) and all(
-                each == stated[drives[0].name] for each in stated.values()
-            )
+            stated = {d.name: given for d in drives if (given := getattr(d, key)) is not None}
+            equal = len(stated) == len(drives) and all(q == stated[drives[0].name] for q in stated.values())
             if equal and get_effect(declared.effect).site == "drives":
                 stated = {"drives": stated[drives[0].name]}
             effects += [declare(declared, site, given) for site, given in stated.items()]
@@ -439,7 +431,7 @@ def _large_lengths(machine: Machine) -> list[tuple[str, str]]:
     doubts = []
     for section, component in ((s, c) for s in COMPONENTS for c in getattr(machine, s)):
         variant = machine.variant(component)
-        for name, quantity in declared_numbers(type(component)).items():
+        for name, quantity in component.numbers().items():
             value = getattr(component, name)
             if value is None or name in variant.absent or variant.unit(name, quantity) != "m":
                 continue

@@ -22,11 +22,9 @@ from ..machine import (
     Coordinate,
     Drive,
     Number,
-    Numbers,
+    Plain,
     Sensor,
-    Text,
     Variant,
-    attributes,
     descriptions,
     summary,
 )
@@ -72,14 +70,14 @@ class EffectField:
     Attributes:
         effect: Name of the effect.
         description: What the field means.
-        quantity: Unit and bounds of the value; None for a pair [low, high] in the unit of the sensor.
+        number: Unit and bounds of the value; None for a pair [low, high] in the unit of the sensor.
         parameters: Function value(s) -> values of the effect's parameters by name, SI.
         fits: Predicate (kind of drive or sensor): whether one of that kind may have it.
     """
 
     effect: str
     description: str
-    quantity: Number | None
+    number: Number | None
     parameters: Callable[..., Mapping[str, float]]
     fits: Callable[[Any], bool] = lambda kind: True
 
@@ -126,57 +124,33 @@ EFFECT_FIELDS: dict[type[Component], dict[str, EffectField]] = {
 }
 
 
-def _kinds(component: type[Component]) -> list[str]:
-    """Return the kinds of a component that this package defines: plugins do not change the published schema."""
-    registry = component.kinds
-    if registry is None:
-        return []
-    return [name for name in registry if registry.get(name).__module__.startswith("hframe_gym.")]
-
-
-def _quoted(names: Iterable[str]) -> str:
-    """Return names in quotation marks: "voltage" and "duty-cycle"."""
-    *others, last = (f'"{name}"' for name in names)
-    return f"{', '.join(others)} and {last}" if others else last
-
-
-def _description(component: type[Component], attribute: Attribute, kinds: Iterable[str]) -> str:
+def _description(component: type[Component], attribute: Attribute, having: set[str]) -> str:
     """Return the description of a field with the kinds that have it; that of the kind tells what each kind is."""
-    all_kinds = _kinds(component)
-    if attribute.name == "kind" and (registry := component.kinds) is not None:
-        each = " ".join(f'"{name}": {_first_line(registry.get(name))}' for name in all_kinds)
-        return f"{attribute.description} {each} Or a registered kind."
-    own = [kind for kind in all_kinds if kind in kinds]
-    if own == all_kinds:
+    if component.kinds is None:
         return attribute.description
-    return f"{attribute.description} Only for the kind{'s'[: len(own) - 1]} {_quoted(own)}."
-
-
-def _first_line(kind: type) -> str:
-    """Return the first line of the docstring of a kind."""
-    return summary(kind).partition(". ")[0].rstrip(".") + "."
-
-
-def fields_of(component: type[Component], attribute: Attribute) -> dict[str, dict[str, list[Variant]]]:
-    """Return the variants of a component that have an attribute by its name in machine.json, then by their kind."""
-    fields: dict[str, dict[str, list[Variant]]] = {}
-    for (kind, _), variant in component.variants().items():
-        if attribute.name not in variant.absent:
-            fields.setdefault(variant.field(attribute.name), {}).setdefault(kind, []).append(variant)
-    return fields
+    # Those of this package only: plugins do not change the published schema.
+    kinds = {name: component.kinds.get(name) for name in component.kinds}
+    kinds = {name: kind for name, kind in kinds.items() if kind.__module__.startswith("hframe_gym.")}
+    if attribute.name == "kind":
+        each = [f'"{name}": {summary(kind).partition(". ")[0].rstrip(".")}.' for name, kind in kinds.items()]
+        return " ".join([attribute.description, *each, "Or a registered kind."])
+    own = [f'"{name}"' for name in kinds if name in having]
+    if len(own) == len(kinds):
+        return attribute.description
+    return f"{attribute.description} Only for the kind{'s'[: len(own) - 1]} {', '.join(own)}."
 
 
 def _form(attribute: Attribute, variants: list[Variant]) -> tuple[Any, dict[str, Any]]:
     """Return the type of a field that holds an attribute, and what else pydantic needs to know of it."""
     declared = attribute.declared
-    if isinstance(declared, Numbers):
-        return dict[str, QuantityEntry], {}
     if isinstance(declared, Number) and attribute.type is float:
         units = [variant.unit(attribute.name, declared) for variant in variants]
         return QuantityEntry, _limits([*units, *filter(None, [declared.older_unit])], declared.lower)
     if isinstance(declared, Number) and attribute.type is int:
         return int, {"ge": int(declared.lower), "le": int(declared.upper)}
-    if isinstance(declared, Text) and declared.form == "name":
+    if isinstance(declared, Plain) and declared.form == "numbers":
+        return dict[str, QuantityEntry], {}
+    if isinstance(declared, Plain) and declared.form == "name":
         return Name, {}
     return dict[str, float] if get_origin(attribute.type) is Mapping else attribute.type, {}
 
@@ -191,26 +165,30 @@ def _limits(units: Iterable[str], lower: float = POSITIVE) -> dict[str, Any]:
 
 def _component_table(component: type[Component]) -> type[Table]:
     """Create the table of a component in machine.json from the declarations of its attributes."""
-    fields: dict[str, Any] = {}
-    variants = component.variants().values()
-    for attribute in attributes(component).values():
-        for key, having in fields_of(component, attribute).items():
-            own = [variant for of_kind in having.values() for variant in of_kind]
-            needed = len(own) == len(variants) and not any(attribute.name in v.defaults for v in own)
-            form, info = _form(attribute, own)
-            required = attribute.presence == "required" and needed
-            text = _description(component, attribute, having)
-            fields[key] = (
-                (form, Field(description=text, **info))
-                if required
-                else (form | None, Field(default=None, description=text, **info))
-            )
-    for key, effect_field in EFFECT_FIELDS.get(component, {}).items():
-        quantity = effect_field.quantity
-        info = _limits([quantity.unit], quantity.lower) if quantity else {}
-        form = QuantityEntry if quantity else tuple[float, float]
-        fields[key] = (form | None, Field(default=None, description=effect_field.description, **info))
-    return create_model(f"{component.__name__}Entry", __base__=Table, __doc__=summary(component), **fields)
+    having: dict[str, list[tuple[str, Variant]]] = {}  # kinds and variants that have a field, by its name
+    attributes: dict[str, Attribute] = {}
+    for (kind, _), variant in component.variants().items():
+        for key, attribute in variant.own(component).items():
+            attributes[key] = attribute
+            having.setdefault(key, []).append((kind, variant))
+    columns: dict[str, Any] = {}
+    order = list(component.attributes())
+    for key, attribute in sorted(attributes.items(), key=lambda item: order.index(item[1].name)):
+        variants = [variant for _, variant in having[key]]
+        form, info = _form(attribute, variants)
+        info["description"] = _description(component, attribute, {kind for kind, _ in having[key]})
+        everywhere = len(variants) == len(component.variants())
+        needed = everywhere and not any(attribute.name in variant.defaults for variant in variants)
+        if attribute.presence == "required" and needed:
+            columns[key] = form, Field(**info)
+        else:
+            columns[key] = form | None, Field(default=None, **info)
+    for key, declared in EFFECT_FIELDS.get(component, {}).items():
+        number = declared.number
+        form = QuantityEntry if number else tuple[float, float]
+        info = _limits([number.unit], number.lower) if number else {}
+        columns[key] = form | None, Field(default=None, description=declared.description, **info)
+    return create_model(f"{component.__name__}Entry", __base__=Table, __doc__=summary(component), **columns)
 
 
 class EffectEntry(Table):
@@ -286,14 +264,8 @@ class MachineFile(Table):
 
 
 TABLES: tuple[type[Table], ...] = (
-    MachineFile,
-    CoordinateEntry,
-    BeltEntry,
-    DriveEntry,
-    SensorEntry,
-    EffectEntry,
-    UncertaintyEntry,
-    QuantityEntry,
+    *(MachineFile, CoordinateEntry, BeltEntry, DriveEntry, SensorEntry),
+    *(EffectEntry, UncertaintyEntry, QuantityEntry),
 )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from hframe_gym.machine import BUILTIN_MACHINES, Coordinate, Drive, Number, attributes
+from hframe_gym.machine import BUILTIN_MACHINES, Coordinate, Drive, Number
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ def test_a_declared_number_is_a_parameter_with_unit_and_description() -> None:
     assert machine.parameters["motor.inductance"] == 1e-3
     assert machine.unit("motor.inductance") == "H"
     assert machine.device_parameters["motor.turns"] == 100
-    assert attributes(Wound)["inductance"].description == "Inductance of the winding, H."
+    assert Wound.attributes()["inductance"].description == "Inductance of the winding, H."
     changed = machine.replace({"motor.inductance": 2e-3, "motor.turns": 80.4})
     assert changed.drives[0] == Wound(
         "motor", "v_V", "shaft", 0.05, 0.05, 1.0, 1.0, 12.0, inductance=2e-3, turns=80
@@ -35,7 +35,7 @@ def test_a_declared_number_is_a_parameter_with_unit_and_description() -> None:
 
 
 def test_a_file_has_names_first_and_numbers_in_the_order_of_the_class() -> None:
-    assert list(attributes(Coordinate)) == ["name", "kind", "mass", "viscous", "coulomb", "radius", "range"]
+    assert list(Coordinate.attributes()) == ["name", "kind", "mass", "viscous", "coulomb", "radius", "range"]
 
 
 def test_a_kind_says_which_attributes_a_component_lacks_and_in_which_unit_the_others_are() -> None:
