@@ -601,6 +601,11 @@ class Sensor(Component):
         )
 
     @property
+    @override
+    def label(self) -> str:
+        return self.channel
+
+    @property
     def incremental(self) -> bool:
         """Whether the sensor counts increments from its position at power-on; its reading at position 0 is unknown."""
         return SENSOR_KINDS.get(self.kind).incremental

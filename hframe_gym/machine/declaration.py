@@ -200,19 +200,19 @@ class Component:
 
     @classmethod
     @cache
-    def _names(cls, role: Role) -> tuple[str, ...]:
-        """Return the names of the parameters with a role."""
+    def names(cls, role: Role) -> tuple[str, ...]:
+        """Return the names of the attributes that are parameters with a role."""
         return tuple(name for name, number in cls.numbers().items() if number.role == role)
 
     @property
     def label(self) -> str:
-        """Name of the component in the full names of its parameters: its first attribute."""
-        return str(getattr(self, next(iter(self.attributes()))))
+        """Name of the component in the full names of its parameters."""
+        return self.name  # type: ignore[attr-defined, no-any-return]
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
         """Names of the parameters that can be identified or randomized."""
-        return self._names("parameter")
+        return self.names("parameter")
 
     @property
     def parameter_values(self) -> dict[str, float]:
@@ -222,7 +222,7 @@ class Component:
     @property
     def device_parameters(self) -> dict[str, float]:
         """Values of the parameters that do not enter the equations of motion, by name in alphabetical order."""
-        return {name: getattr(self, name) for name in sorted(self._names("device"))}
+        return {name: getattr(self, name) for name in sorted(self.names("device"))}
 
     def with_values(self, values: Mapping[str, Any]) -> Any:
         """Return a copy with other values of attributes, SI, by name; whole numbers are rounded."""

@@ -416,6 +416,6 @@ class Machine:
 
 def _with_values(component: Component, values: Mapping[str, float]) -> Component:
     """Return a component with those of its parameters replaced that `values` holds under `label.key`."""
-    keys = (*component.parameter_names, *component.device_parameters)
-    new = {key: values[name] for key in keys if (name := f"{component.label}.{key}") in values}
+    label, keys = component.label, (*component.parameter_names, *component.names("device"))
+    new = {key: values[name] for key in keys if (name := f"{label}.{key}") in values}
     return component.with_values(new) if new else component  # type: ignore[no-any-return]
