@@ -158,7 +158,11 @@ def score(
     Returns:
         Scores by agent (`agents`), and ratios by scenario and recipe (`compared`).
     """
-    agents: dict[str, Any] = dict(previous["agents"]) if previous else {}
+    agents: dict[str, Any] = {
+        name: row
+        for name, row in (previous["agents"].items() if previous else ())
+        if name.rpartition("-seed")[0] not in (recipes or ())  # also of agents that are no longer shipped
+    }
     rows: dict[str, dict[str, list[Array]]] = {name: {} for name in TRIALS[task]}
     for kind in ("pid", "adaptive-pid") if recipes is None else ("pid",):
         runs = drive(CONTROLLERS.get(kind)(BUILTIN_MACHINES["hframe"](), 0.01), task)

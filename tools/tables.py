@@ -523,6 +523,28 @@ def agent_off_policy(results: dict[str, Any]) -> str:
     return _trainings(results["off_policy"])
 
 
+def agent_seeds(results: dict[str, Any]) -> str:
+    """Format the scores of recipes over the seeds of their trainings."""
+    rows = []
+    for name, result in results["recipes"].items():
+        agents, by_seed = result["agents"], [r["mean"] for r in result["over_bound"]["by_seed"]]
+        precise = [100 * agent["success"]["0.05mm"] for agent in agents]
+        rows.append(
+            [
+                f"`{name}`",
+                str(len(agents)),
+                f"{agents[0]['steps']}",
+                f"{statistics.mean(agent['cpu_s'] for agent in agents):.0f}",
+                _ratio(result, "over_bound"),
+                f"{max(by_seed):.3f}",
+                f"{statistics.mean(precise):.1f} %",
+                f"{min(precise):.1f} %",
+            ]
+        )
+    header = ["recipe", "seeds", "steps", "processor s", "over the bound", "slowest seed"]
+    return markdown([*header, "within 0.05 mm", "least precise seed"], rows)
+
+
 def _trainings(variants: dict[str, Any]) -> str:
     """Format the costs and scores of trainings, given as runs by name."""
     rows = []
@@ -858,6 +880,7 @@ TABLES: dict[str, Callable[[dict[str, Any]], str]] = {
     "agents": agents,
     "agent_ablation": agent_ablation,
     "agent_off_policy": agent_off_policy,
+    "agent_seeds": agent_seeds,
     "closed_loop": closed_loop,
     "gap": gap,
     "gap_steps": gap_steps,
