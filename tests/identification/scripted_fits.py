@@ -46,7 +46,9 @@ def selected(effect: AppliedEffect, gain: float = 1.0) -> SelectedEffect:
 def runs(names: str) -> Any:
     """Return data with runs that have one letter each as a name."""
     return SimpleNamespace(
-        runs=[SimpleNamespace(name=name, count=COUNT // 4) for name in names], count=COUNT, with_runs=runs
+        runs=[SimpleNamespace(name=name, count=COUNT // 4, updates=1) for name in names],
+        count=COUNT,
+        with_runs=runs,
     )
 
 
