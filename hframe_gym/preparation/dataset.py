@@ -157,6 +157,11 @@ class Dataset:
         """
         return dataclasses.replace(self, runs=tuple(run for run in self.runs if run.name in names))
 
+    @property
+    def updates(self) -> int:
+        """Largest number of changes of the voltages from one row to the next; 1 if they are held."""
+        return max(run.updates for run in self.runs)
+
     def with_updates(self, updates: int) -> Dataset:
         """Return a copy in which the voltages of all runs change several times from one row to the next.
 

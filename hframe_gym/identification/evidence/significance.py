@@ -17,7 +17,7 @@ from ...preparation.dataset import Dataset
 from ..fit.covariance import BLOCK_S
 from ..fit.estimation import Fit
 from ..fit.force_sizes import drive_force, effect_force, force_difference, residue_force
-from ..fit.model_error import fit_with_model_error, leave_one_out_gain, narrower_observer
+from ..fit.model_error import continue_fit, fit_with_model_error, leave_one_out_gain, narrower_observer
 from ..judge import effect as judge
 from ..judge.chance import LongRunVariance
 from ..judge.criteria import SelectionCriteria
@@ -205,6 +205,16 @@ def effect_evidence(without: Fit, with_effect: Fit, effect: AppliedEffect, data:
         drives=lambda: drive_force(with_effect.machine, data),
         additions=lambda: _additions(without, with_effect, effect, data),
         parameters=parameter_values(effect.label, with_effect),
+        interpolation=(lambda: _interpolation_change(with_effect, data)) if data.updates > 1 else None,
+    )
+
+
+def _interpolation_change(fitted: Fit, data: Dataset) -> float:
+    """Return by how much the cost changes if the voltages change once more or once less a row, refitted."""
+    number = data.updates
+    others = (n for n in (number - 1, number + 1) if n > 1)
+    return max(
+        abs(continue_fit(fitted, data.with_updates(n), fitted.bandwidth).cost - fitted.cost) for n in others
     )
 
 

@@ -189,7 +189,7 @@ def fit_slow_log(fitted: Fit, data: Dataset) -> Fit:
         Fit with the same observer: machine, k parameters theta, dimensionless, shape (k,), cost (chi-squared).
         `fitted` itself if the voltages are held, the rows are too few, or the steps do not converge.
     """
-    if not any(run.updates > 1 for run in data.runs) or not _are_enough(data):
+    if data.updates == 1 or not _are_enough(data):
         return fitted
     models, theta, prior = _Models.of(fitted, data), fitted.theta, prior_precision(fitted.free)
     used = models.all_rows

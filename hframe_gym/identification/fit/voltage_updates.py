@@ -74,7 +74,7 @@ def require_held_voltages(fitted: Fit, data: Dataset, criteria: SelectionCriteri
     Raises:
         VoltagesChangeError: If the voltages change between the rows.
     """
-    if any(run.updates > 1 for run in data.runs):
+    if data.updates > 1:
         return
     updates = voltage_updates(fitted, data, criteria)
     if updates.per_row > 1:

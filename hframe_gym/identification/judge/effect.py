@@ -116,6 +116,7 @@ class EffectEvidence:
         drives: Force of the drives, N.
         additions: What the effect adds to each effect of another family that depends on the same variable.
         parameters: Its fitted parameters.
+        interpolation: Change of the cost by another number of voltage changes a row; None if the voltages are held.
     """
 
     without: FitError
@@ -130,6 +131,7 @@ class EffectEvidence:
     drives: Measured
     additions: Callable[[], Iterable[Addition]]
     parameters: Sequence[ParameterValue] = ()
+    interpolation: Measured | None = None
 
     @property
     def gain(self) -> float:
@@ -172,8 +174,21 @@ def _doubt(evidence: EffectEvidence, criteria: SelectionCriteria, *, statistical
         (statistical and unconfirmed(evidence.gain, evidence.confirmed(), criteria))
         or evidence.fault()
         or (statistical and _by_chance(evidence, criteria))
+        or (statistical and _by_interpolation(evidence, criteria))
         or _too_small(evidence, criteria)
         or _form_error(evidence, criteria)
+    )
+
+
+def _by_interpolation(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
+    """Return that an effect reduces the error little more than other voltages between the rows do; "" if it does."""
+    if evidence.interpolation is None:
+        return ""
+    if evidence.gain > criteria.min_gain_over_interpolation * evidence.interpolation():
+        return ""
+    return (
+        "reduces the error little more than another number of voltage changes between the rows, which is not known "
+        "exactly, does"
     )
 
 

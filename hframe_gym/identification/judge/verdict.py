@@ -212,21 +212,21 @@ class DriftEvidence:
     """Effects compared with a parameter that has another value in each run.
 
     Attributes:
-        depends_on_time: Whether one of the effects is a function of time.
+        differs_by_run: Whether one of the effects is a function of time, or begins each run in an unknown state.
         explained: Function that returns whether the machine with effects explains the data in simulation.
         wide: Function that returns its error with the widest observer.
         by_run: Function that returns chi-squared per sample with that observer and another value in each run, without
             effects; None if no parameter explains the runs so.
     """
 
-    depends_on_time: bool
+    differs_by_run: bool
     explained: Callable[[], bool]
     wide: Callable[[], FitError]
     by_run: Callable[[], float | None]
 
 
 def imitates_drift(evidence: DriftEvidence, criteria: SelectionCriteria) -> bool:
-    """Return whether effects over time only imitate a parameter that differs from run to run.
+    """Return whether effects only imitate a parameter that differs from run to run.
 
     They do if they leave an error in simulation, which an observer hides, and another value in each run is better.
 
@@ -234,7 +234,7 @@ def imitates_drift(evidence: DriftEvidence, criteria: SelectionCriteria) -> bool
         evidence: Errors with the effects and with another value in each run.
         criteria: Decision thresholds of `required_gain`.
     """
-    if not evidence.depends_on_time or evidence.explained():
+    if not evidence.differs_by_run or evidence.explained():
         return False
     wide, by_run = evidence.wide(), evidence.by_run()
     return by_run is not None and by_run < wide.chi2 - required_gain(wide, criteria)

@@ -305,8 +305,9 @@ class _Search:
     def _imitated_drift(self, after: Fit) -> str:
         """Return the name of the parameter that differs from run to run, if effects only imitate it; otherwise ""."""
         hooks = [getattr(e.definition, name) for e in after.machine.effects for name in HOOKS]
+        starts_unknown = any(e.definition.initial_spread for e in after.machine.effects)
         evidence = DriftEvidence(
-            depends_on_time=any(hook and "t" in argument_names(hook) for hook in hooks),
+            differs_by_run=any(hook and "t" in argument_names(hook) for hook in hooks) or starts_unknown,
             explained=lambda: self._explains(self._refined(after)),
             wide=lambda: self._wide_error(after),
             by_run=lambda: self._difference.chi2 if self._difference else None,

@@ -59,6 +59,10 @@ def by_chance(gain: float, ratio: float) -> Chance:
 
 
 CHANCE = "reduces the error by no more than chance may, since the remaining error is correlated in time"
+BETWEEN_ROWS = (
+    "reduces the error little more than another number of voltage changes between the rows, "
+    "which is not known exactly, does"
+)
 FORM = "adds 19 % to the force of drag@x, which depends on the same variable: the form of that effect may be in error"
 
 
@@ -86,6 +90,8 @@ FORM = "adds 19 % to the force of drag@x, which depends on the same variable: th
             "",
         ),  # in doubt, the slow error
         ({"chance": by_chance(2000.0, 85.0), "chance_narrower": by_chance(2000.0, 85.0)}, CHANCE),
+        ({"interpolation": 990.0}, ""),
+        ({"interpolation": 1010.0}, BETWEEN_ROWS),
         ({"forces": Forces(0.202, 0.2)}, ""),
         (
             {"forces": Forces(0.198, 0.2), "forces_accurate": Forces(0.198, 0.1)},
