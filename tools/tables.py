@@ -42,7 +42,7 @@ PAGES = (
     "docs/trust.md",
 )
 STAGES = ("declared", "before", "after")
-RANDOM_RIGS = "random_rigs_20261230"  # FINAL_SEED of benchmarks.random_rigs
+RANDOM_RIGS = "random_rigs_20270115"  # FINAL_SEED of benchmarks.random_rigs
 RANDOM_RIGS_CLOSED = "random_rigs_closed_20270126"  # FINAL_CLOSED_LOOP_SEED of it
 
 
@@ -867,7 +867,7 @@ TABLES: dict[str, Callable[[dict[str, Any]], str]] = {
     "public_axes": public_axes,
     RANDOM_RIGS: random_rigs,
     RANDOM_RIGS_CLOSED: random_rigs,
-    "outside_library_2": outside_library,
+    "outside_library_3": outside_library,
     "first_step": first_step,
     "env_speed": env_speed,
     "differentiable": differentiable,
