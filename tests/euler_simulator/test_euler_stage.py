@@ -30,7 +30,7 @@ MORE = {
 # What the Euler simulator lacks or has in another form.
 LACKING = (
     *("idler_inertia", "frame_resonance", "dwell_friction", "torque_saturation"),
-    *("commutation_ripple", "gear_backlash"),
+    *("commutation_ripple", "gear_backlash", "winding_heat", "supply_sag", "payload_swing"),
 )
 ONE_OF_EACH = {n: dataclasses.replace(Rig(), **c.rig) for n, c in CASES.items() if c.rig and n not in LACKING}
 

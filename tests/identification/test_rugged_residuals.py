@@ -119,8 +119,9 @@ def test_play_of_several_times_the_extension_is_screened_and_fitted() -> None:
     data = runs(screw((EFFECTS["belt_play"].at("belts", d=play),)), declared, 6.0)
     current = fit(declared, default_free_parameters(declared), data, SEARCH_BANDWIDTH)
     scales = typical_scales(current, data)
-    best = screen_structures(current, data, scales, 0.1)[0].effects[-1]
-    assert best.label == "belt_play@belts"
+    # Two backlashes of the motor's gear, which move the carriage in the same way, come first.
+    screened = [machine.effects[-1] for machine in screen_structures(current, data, scales, 0.1)[:3]]
+    best = next(effect for effect in screened if effect.label == "belt_play@belts")
     assert 0.3 * play < best.parameters["d"] < 3.0 * play
     machine = declared.with_effects(best)
     free = (*default_free_parameters(declared), *effect_parameters(best, machine, scales))

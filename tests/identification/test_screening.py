@@ -131,4 +131,11 @@ def test_no_candidates_give_no_scores(axis: Machine) -> None:
 
 def test_which_effects_replace_a_part_of_the_model() -> None:
     replacing = {name for name, effect in EFFECTS.items() if effect.replaces_model_part}
-    assert replacing == {"bridge_yaw", "frame_resonance", "idler_inertia", "payload_swing", "presliding"}
+    assert replacing == {
+        "bridge_yaw",
+        "frame_resonance",
+        "gear_backlash",
+        "idler_inertia",
+        "payload_swing",
+        "presliding",
+    }

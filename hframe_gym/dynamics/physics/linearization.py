@@ -20,6 +20,7 @@ from ...distributed import single_threaded_linear_algebra
 from ...machine import Machine
 from .equations import Equations
 
+_SHORTEST_PART = 0.01  # of the longest step
 _STEP_WITH_DELAY = (
     0.4  # voltages that jump by 4 V and act 0.43 ms later: 6 um of error at 0.125 ms, 0.3 um at 0.05 ms
 )
@@ -135,8 +136,14 @@ def resolved_step(machine: Machine, longest_step: float) -> float:
     Steps that are too long for a stiff belt change the frequency of its vibration, and much longer ones make the
     integrator diverge. The result is 0.75 / highest natural frequency (rad/s) at position 0, if that is shorter. The
     loop of a drive that follows a set point counts with the largest eigenvalue of the linear model. Voltages that act
-    with a delay change inside a step, whose error falls with the square of its length.
+    with a delay change inside a step, whose error falls with the square of its length. A machine that would need less
+    than a hundredth of `longest_step` is no machine: a simulation diverges instead of taking hours.
     """
+    return max(_resolving_step(machine, longest_step), _SHORTEST_PART * longest_step)
+
+
+def _resolving_step(machine: Machine, longest_step: float) -> float:
+    """Return the step of `resolved_step` without its lower limit."""
     if any(effect.definition.delay is not None for effect in machine.effects):
         longest_step *= _STEP_WITH_DELAY
     if machine.drive_laws:
