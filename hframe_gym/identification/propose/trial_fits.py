@@ -23,7 +23,7 @@ from ..judge import trial as judge
 from ..judge.criteria import SelectionCriteria
 from ..judge.error import FitError
 from ..predict.free_parameters import FreeParameter, default_free_parameters, values_at
-from ..predict.prediction import POLISH_STEP, SEARCH_BANDWIDTH
+from ..predict.prediction import POLISH_STEP, SEARCH_BANDWIDTH, SIMULATION
 from .candidates import SearchState, candidates, effect_parameters, is_required
 from .screening import ScoredCandidate, resemblances, screen, screen_structures
 
@@ -154,9 +154,15 @@ def best_error(trials: list[Fit]) -> FitError | None:
 
 
 def _ranked_candidates(current: Fit, data: Dataset) -> tuple[TypicalScales, list[ScoredCandidate]]:
-    """Return typical sizes on the machine and its screened candidates, largest predicted reduction of cost first."""
+    """Return typical sizes on the machine and its screened candidates, largest predicted reduction of cost first.
+
+    A drive that begins each run in an unknown state, such as the heat of its winding, has another gain in each run. In
+    simulation, that would describe each run by itself, and no other one; an observer leaves little to describe so.
+    """
     state = SearchState.of(current, data)
     proposed = candidates(state)
+    if current.bandwidth == SIMULATION:
+        proposed = [c for c in proposed if c.effect.site != "drive" or c.effect.initial_spread is None]
     spend(f"screening {len({c.label for c in proposed})} effects at their components ({current.mode})")
     return state.scales, screen(current, proposed, data)
 

@@ -27,6 +27,7 @@ from .evaluation import Evaluated, HeldOutTest, without_names
 from .machine_errors import ModelEvaluation, error_ratio
 
 _MAX_EFFECTS = 2  # Each further one takes longer and removes less.
+_TRIALS = 8  # a step: far from the data, as here, linearized gains say little about which effect reduces the error most
 _BUDGET_PART = 0.3  # of the budget of the identification
 _LONGEST = 45.0  # s of processor time
 _LAST = 0.95  # of the budget, at which a search ends, because its answer is simulated afterwards
@@ -224,7 +225,8 @@ def descriptions(
     selected: tuple[SelectedEffect, ...] = ()
     for count in range(1, _MAX_EFFECTS + 1):
         part = Budget(max(min(seconds, _LAST * budget.seconds - budget.spent), 0.0))
-        search = EffectSearch(equal, start.machine, dataclasses.replace(criteria, max_effects=count), log)
+        effort = dataclasses.replace(criteria, max_effects=count, max_full_fits=_TRIALS)
+        search = EffectSearch(equal, start.machine, effort, log)
         try:
             with part.limiting():
                 current, found = search.run(current, selected)
