@@ -1,8 +1,9 @@
-"""Linear model of a machine with those of its effects that are linear near rest, its modes, and modes with held motors.
+"""Linear state-space model of a machine at rest, with its effects as far as they are linear there, and its modes.
 
-`dynamics.linearize` gives the derivatives of the nominal equations, exact to rounding. What effects add (stiffness of a
-frame, damping of belts, another gain of an amplifier) is the difference of the accelerations with and without them,
-differentiated by central differences. Dry friction has no derivative at rest and is left out with all effects on it.
+The model is that of the machine without effects (`dynamics.linearize`, exact to rounding) plus what the effects add,
+such as the stiffness of a frame or the damping of belts. That part is the difference between the accelerations with and
+without effects; it is differentiated by central differences. Dry friction has no derivative at rest: it is set to zero,
+and the effects that change it are left out and listed (`LinearModel.left_out`).
 """
 
 from __future__ import annotations
@@ -18,25 +19,26 @@ from ..dynamics import Equations, linearize
 from ..machine import AppliedEffect, Machine
 
 Complex = NDArray[np.complex128]
-# Steps of the central differences: m of belt travel, m/s, V. Forces are linear to 1e-9 over them, and rounding errors
-# are of the same size.
+# Steps of the central differences: belt travel in m, its rate in m/s, voltage in V. Over them, forces deviate from a
+# straight line by 1e-9, which is also the size of the rounding errors.
 _STEPS = (1e-6, 1e-5, 1e-4)
-_RIGID = 1e-6  # rad/s; slower eigenvalues are those of motions without a restoring force
+_RIGID = 1e-6  # rad/s; smaller eigenvalues count as zero: motions without a restoring force
 _NEGLIGIBLE = 1e-9  # relative displacements below are rounding errors
-# Hooks of effects that act on the linear model. Delays are stated beside it.
+# Functions of an effect (hooks of `machine.Effect`) that change the matrices, and others that do not: delays stand
+# beside the matrices, and the state in which a recording begins is no part of the model.
 _LINEAR_HOOKS = ("force", "active_region", "viscous", "tension", "energy_slope", "voltage", "measurement")
 _IGNORED_HOOKS = ("delay", "measurement_delay", "initial_spread")
 
 
 class LinearModel(NamedTuple):
-    """Linear model x' = A x + B u + b, y = C x + D u of deviations from rest at an operating point.
+    """State-space model x' = A x + B u + b, y = C x + D u; x, u and y are deviations from rest at an operating point.
 
     Attributes:
         A: System matrix, shape (states, states): positions of all coordinates (m, rad), then velocities.
         B: Input matrix, shape (states, drives), per V.
         C: Output matrix, shape (sensors, states).
         D: Feedthrough matrix, zero unless a sensor measures a current or an acceleration, shape (sensors, drives).
-        bias: Constant part b of the derivative: accelerations by constant forces of effects, shape (states,).
+        bias: The constant b: accelerations that constant forces of effects cause, m/s^2 or rad/s^2, shape (states,).
         states: Names of the states.
         state_units: Their units.
         inputs: Names of the input channels, in V.
@@ -69,7 +71,8 @@ class Mode(NamedTuple):
         eigenvalue: Eigenvalue with imaginary part >= 0, rad/s.
         frequency: Natural frequency |eigenvalue| / (2 pi), Hz.
         damping: Damping ratio, dimensionless; 1 or -1 for a real eigenvalue, 0 for a motion without restoring force.
-        shape: Complex displacement of each coordinate in belt travel, relative to the largest, shape (coordinates,).
+        shape: Complex amplitude of each coordinate relative to the largest one, all as belt travel (for a pulley its
+            radius times its angle), shape (coordinates,).
     """
 
     eigenvalue: complex
@@ -79,10 +82,12 @@ class Mode(NamedTuple):
 
 
 def linear_model(machine: Machine, position: Array) -> LinearModel:
-    """Linearize a machine, with its effects, about rest.
+    """Linearize a machine, with its effects, at rest.
 
     Args:
-        position: Position of every coordinate with unstretched belts, m or rad, shape (coordinates,).
+        machine: Machine with any effects.
+        position: Operating point: position of every coordinate at which no belt is stretched, m or rad, shape
+            (coordinates,).
 
     Returns:
         The model, in SI, with names and units; A has the shape (states, states).
@@ -90,16 +95,20 @@ def linear_model(machine: Machine, position: Array) -> LinearModel:
     n, drives = len(machine.coordinates), len(machine.drives)
     nominal = linearize(machine, position)
     kept = tuple(e for e in machine.effects if _linear(e))
-    equations = Equations(_without_dry_friction(machine, kept))
+    with_effects = Equations(_without_dry_friction(machine, kept))
     # A structural effect ties parameters of the coordinates that it adds to its parameters, so ties go with effects.
-    base = Equations(dataclasses.replace(_without_dry_friction(machine, ()), ties={}))
+    without = Equations(dataclasses.replace(_without_dry_friction(machine, ()), ties={}))
     steps = np.concatenate(
         [np.repeat(_STEPS[:2], n) / np.tile(machine.travel_per_unit, 2), np.full(drives, _STEPS[2])]
     )
     points = np.concatenate([np.diag(steps), -np.diag(steps), np.zeros((1, len(steps)))])
     added, readings = (
-        _evaluated(equations, position, points, n)[k] - _evaluated(base, position, points, n)[k]
-        for k in (0, 1)
+        of_effects - plain
+        for of_effects, plain in zip(
+            _evaluated(with_effects, position, points, n),
+            _evaluated(without, position, points, n),
+            strict=True,
+        )
     )
     m = len(steps)
     by_step = (added[:m] - added[m : 2 * m]).T / (2.0 * steps)  # (coordinates, 2 n + drives)
@@ -111,21 +120,21 @@ def linear_model(machine: Machine, position: Array) -> LinearModel:
     D = nominal.D + of_readings[:, 2 * n :]
     units = [c.unit("position") for c in machine.coordinates]
     rates = [c.unit("speed") for c in machine.coordinates]
-    delays = Equations(machine)
+    complete = Equations(machine)
     return LinearModel(
-        A,
-        B,
-        C,
-        D,
-        np.concatenate([np.zeros(n), added[-1]]),
-        (*machine.coordinate_names, *(f"{name}_rate" for name in machine.coordinate_names)),
-        (*units, *rates),
-        machine.input_channels,
-        machine.output_channels,
-        tuple(map(machine.sensor_unit, machine.sensors)),
-        np.array([float(d) for d in delays.voltage_delays()]),
-        np.array([float(d) for d in delays.measurement_delays()]),
-        tuple(e.label for e in machine.effects if not _linear(e)),
+        A=A,
+        B=B,
+        C=C,
+        D=D,
+        bias=np.concatenate([np.zeros(n), added[-1]]),
+        states=(*machine.coordinate_names, *(f"{name}_rate" for name in machine.coordinate_names)),
+        state_units=(*units, *rates),
+        inputs=machine.input_channels,
+        outputs=machine.output_channels,
+        output_units=tuple(map(machine.sensor_unit, machine.sensors)),
+        input_delays=np.array([float(d) for d in complete.voltage_delays()]),
+        output_delays=np.array([float(d) for d in complete.measurement_delays()]),
+        left_out=tuple(e.label for e in machine.effects if not _linear(e)),
     )
 
 
@@ -135,8 +144,9 @@ def modes(A: Array, travel_per_unit: Array, rigid: Array | None = None) -> list[
     Args:
         A: System matrix, SI, shape (2 n, 2 n).
         travel_per_unit: Belt travel per unit of each position, m/m or m/rad, shape (n,).
-        rigid: Positions of all coordinates in motions without a restoring force, m or rad, shape (n, motions). They are
-            the shapes of the eigenvalue zero, for which eigenvectors are not unique. None: no such motions are known.
+        rigid: Known motions without a restoring force, one column each with the positions of all coordinates, m or rad,
+            shape (n, motions). They replace the eigenvectors of the eigenvalue zero, which are not unique. Default: the
+            eigenvectors are used.
 
     Returns:
         Modes by ascending frequency; of a pair of complex eigenvalues only one.
@@ -160,16 +170,16 @@ def modes(A: Array, travel_per_unit: Array, rigid: Array | None = None) -> list[
 
 
 def axis_modes(machine: Machine, position: Array) -> dict[str, Mode]:
-    """Return the first mode of each tool axis while the motors are held, as position-controlled motors do.
+    """Return the slowest oscillation of each tool axis while the motors stand still, as stiff control holds them.
 
-    Of the oscillations with held motors, an axis has the slowest one in which it moves more than the other axes.
+    An oscillation belongs to the axis that moves most in it.
 
     Args:
         machine: Machine with belts or other springs between motors and tool.
-        position: Position of every coordinate with unstretched belts, m or rad, shape (coordinates,).
+        position: Operating point as of `linear_model`, m or rad, shape (coordinates,).
 
     Returns:
-        Mode by axis; shapes are over the coordinates that are not held. Axes without such a mode are missing.
+        Mode by axis; `shape` has the coordinates without a motor only. An axis in which nothing oscillates is missing.
     """
     model, n = linear_model(machine, position), len(machine.coordinates)
     driven = {drive.coordinate for drive in machine.drives}
@@ -191,7 +201,10 @@ def axis_modes(machine: Machine, position: Array) -> dict[str, Mode]:
 
 
 def _evaluated(equations: Equations, position: Array, points: Array, n: int) -> tuple[Array, Array]:
-    """Return accelerations (points, n), m/s^2 or rad/s^2, and readings (points, sensors) at steps from rest."""
+    """Return accelerations (points, n), m/s^2 or rad/s^2, and sensors' readings (points, sensors) beside rest.
+
+    Points are rows with deviations of n positions and n velocities, m or rad and per s, and with voltages, V.
+    """
     point = equations.point(position + points[:, :n], points[:, n : 2 * n])
     accelerations = equations.accelerations(point, list(points[:, 2 * n :].T), np.zeros_like)
     in_units = [a * equations.per_radius(i) for i, a in enumerate(accelerations)]
@@ -212,7 +225,7 @@ def _without_dry_friction(machine: Machine, effects: tuple[AppliedEffect, ...]) 
 
 
 def _linear(effect: AppliedEffect) -> bool:
-    """Return whether an effect acts on the linear model: without memory, threshold and part in dry friction."""
+    """Return whether an effect is linear at rest: it has no memory, no threshold and no part in dry friction."""
     definition = effect.definition
     if definition.impacts or any(p.role == "switch" for p in definition.parameters):
         return False

@@ -136,8 +136,9 @@ def resolved_step(machine: Machine, longest_step: float) -> float:
     Steps that are too long for a stiff belt change the frequency of its vibration, and much longer ones make the
     integrator diverge. The result is 0.75 / highest natural frequency (rad/s) at position 0, if that is shorter. The
     loop of a drive that follows a set point counts with the largest eigenvalue of the linear model. Voltages that act
-    with a delay change inside a step, whose error falls with the square of its length. A machine that would need less
-    than a hundredth of `longest_step` is no machine: a simulation diverges instead of taking hours.
+    with a delay change inside a step, whose error falls with the square of its length. It is at
+    least a hundredth of `longest_step`: a machine that needs shorter ones has a wrong mass or stiffness, and its
+    simulation then ends with an error instead of running out of memory.
     """
     return max(_resolving_step(machine, longest_step), _SHORTEST_PART * longest_step)
 

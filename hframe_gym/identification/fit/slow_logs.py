@@ -32,18 +32,18 @@ from scipy import stats
 from scipy.linalg import block_diag
 from scipy.signal import savgol_filter
 
+from ...arrays import Array
 from ...machine import Machine
 from ...preparation.dataset import Dataset, PreparedRecording
 from ..budget import spend
 from ..predict.free_parameters import bounded_step, prior_precision
 from ..predict.linearization import ResidualModel
 from ..predict.prediction import SEARCH_BANDWIDTH, SIMULATION, innovation_variance, map_runs
-from ..predict.start_uncertainty import predict_with_displaced_starts, prediction_residuals, projected
+from ..predict.start_uncertainty import prediction_residuals
 from .covariance import principal_directions
 from .estimation import Fit, prediction_cost
 from .model_error import continue_fit, search_step
 
-Array = NDArray[np.float64]
 _ORDER = 12  # rows of the autoregression: errors of the voltages last as long as the belts vibrate
 # Rows of the cubics by which voltages and measurements are smoothed for the instruments: a single row counts 16 %.
 # Windows from 9 to 31 rows gave the same parameters.
@@ -155,21 +155,10 @@ class _Models(NamedTuple):
 def _differences(model: ResidualModel, theta: Array, directions: Array) -> list[tuple[Array, Array]]:
     """Return residual, shape (1, n * s), and derivatives, (k, n * s), of each run by differences along directions."""
     point = model.at(theta)
-    parameters = model.parameters(np.vstack([theta, theta + directions.T]))
     inverse = np.linalg.inv(directions)
 
     def of_run(run: PreparedRecording) -> tuple[Array, Array]:
-        start = point.starts[run.name]
-        motion = predict_with_displaced_starts(
-            point.machine,
-            run,
-            model.bandwidth,
-            start,
-            period=model.data.period,
-            parameters=parameters,
-            longest_step=model.longest_step,
-        )
-        residual, _ = projected(model.residuals(run, motion.readings), len(start.displacements))
+        residual = point.residuals(run, directions.T)[0]
         return residual[:1], inverse.T @ (residual[1:] - residual[0])
 
     return list(map_runs(of_run, model.data))

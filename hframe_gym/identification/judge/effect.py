@@ -181,7 +181,7 @@ def _doubt(evidence: EffectEvidence, criteria: SelectionCriteria, *, statistical
 
 
 def _by_interpolation(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
-    """Return that an effect reduces the error little more than other voltages between the rows do; "" if it does."""
+    """Return that other voltages between the rows reduce the error nearly as much as an effect; "" if they do not."""
     if evidence.interpolation is None:
         return ""
     if evidence.gain > criteria.min_gain_over_interpolation * evidence.interpolation():

@@ -239,23 +239,40 @@ class ExpansionPoint:
             Residual, shape (rows,), its derivatives, shape (k, rows), and the responses, shape (m, rows), all without
             the part that an error of the initial state can explain.
         """
+        steps = self.model.difference_steps
+        residual, projection, motion = self.residuals(run, np.diag(steps), states=responses is not None)
+        extra = None if responses is None else responses(run, Motion(*(part[:1] for part in motion)))
+        if extra is not None and projection is not None:
+            extra = projection(extra)
+        return RunLinearization(forward_differences(residual, steps), extra, residual[0], projection)
+
+    def residuals(
+        self, run: PreparedRecording, changes: Array, *, states: bool = False
+    ) -> tuple[Array, InitialStateProjection | None, Motion]:
+        """Predict one run at this point and after some changes of theta.
+
+        Args:
+            run: Run to predict, one of the data set.
+            changes: Changes of theta, shape (m, k).
+            states: Whether the motion has the states as well.
+
+        Returns:
+            Residuals, shape (1 + m, rows), and the projection that removed from them what an error of the initial state
+            can explain; the motions that they belong to.
+        """
         model, start = self.model, self.starts[run.name]
-        steps = model.difference_steps
         motion = predict_with_displaced_starts(
             self.machine,
             run,
             model.bandwidth,
             start,
             period=model.data.period,
-            parameters=model.parameters(np.vstack([self.theta, self.theta + np.diag(steps)])),
+            parameters=model.parameters(np.vstack([self.theta, self.theta + changes])),
             longest_step=model.longest_step,
-            states=responses is not None,
+            states=states,
         )
         residual, projection = projected(model.residuals(run, motion.readings), len(start.displacements))
-        extra = None if responses is None else responses(run, Motion(*(part[:1] for part in motion)))
-        if extra is not None and projection is not None:
-            extra = projection(extra)
-        return RunLinearization(forward_differences(residual, steps), extra, residual[0], projection)
+        return residual, projection, motion
 
 
 @dataclass(frozen=True)
