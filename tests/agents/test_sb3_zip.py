@@ -46,7 +46,8 @@ def test_a_model_acts_as_in_its_training(tmp_path: Path, algorithm: str, options
     assert isinstance(controller, Sb3Model)
     plain, _ = HFrameVectorEnv(4).reset(seed=5)
     envs.seed(5)
-    expected, _ = getattr(stable_baselines3, algorithm).load(name).predict(envs.reset(), deterministic=True)
+    model = getattr(stable_baselines3, algorithm).load(name, device="cpu")
+    expected, _ = model.predict(envs.reset(), deterministic=True)
     np.testing.assert_array_equal(controller.act(plain), expected)
 
 

@@ -1,0 +1,52 @@
+"""A learner on a GPU, stages on the processor: run where torch or JAX finds a GPU."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from hframe_gym.differentiable import DifferentiableStage
+from hframe_gym.errors import InputError
+from hframe_gym.machine import BUILTIN_MACHINES
+
+MACHINE = BUILTIN_MACHINES["hframe"]()
+
+
+def test_tensors_of_another_device_are_refused():
+    stage = DifferentiableStage(MACHINE)
+    with pytest.raises(InputError, match="a tensor is on the device meta"):
+        stage.rollout(stage.rest(), torch.zeros(1, 5, 2, device="meta"))
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="torch finds no GPU")
+def test_gradients_reach_a_policy_on_the_gpu():
+    stage = DifferentiableStage(MACHINE, friction="sliding")
+    weights = torch.full((stage.rest().shape[1], 2), 0.1, dtype=torch.float64)
+
+    def gradient(device: str) -> torch.Tensor:
+        policy, state = weights.to(device).requires_grad_(), stage.rest([[0.02, 0.01]])
+        for _ in range(5):
+            state = stage.step(state, (state.to(device) @ policy + 1.0).cpu())
+        stage.tool_positions(state).sum().backward()
+        return policy.grad.cpu()
+
+    torch.testing.assert_close(gradient("cuda"), gradient("cpu"), rtol=1e-9, atol=0.0)
+
+
+def test_jax_calls_stages_from_a_program_on_the_gpu():
+    jax = pytest.importorskip("jax")
+    if jax.default_backend() != "gpu":
+        pytest.skip("JAX finds no GPU")
+    from hframe_gym.differentiable import JaxStage
+
+    with jax.enable_x64(True):
+        stage = JaxStage(MACHINE)
+        voltages = np.random.default_rng(0).uniform(-6.0, 6.0, (8, 10, 2))
+
+        def cost(voltages):
+            return (stage.rollout(stage.rest(batch=8), voltages)[:, -1, :2] ** 2).sum()
+
+        on_gpu = jax.jit(jax.grad(cost))(jax.device_put(voltages, jax.devices("gpu")[0]))
+        on_cpu = jax.jit(jax.grad(cost))(jax.device_put(voltages, jax.devices("cpu")[0]))
+    np.testing.assert_array_equal(on_gpu, on_cpu)
