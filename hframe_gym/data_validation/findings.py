@@ -95,7 +95,7 @@ def _merged(group: list[Finding]) -> Finding:
 
 
 def print_findings(findings: Sequence[Finding], console: Console) -> None:
-    """Print findings, then the number of printed findings of each severity.
+    """Print the number of findings of each severity, then the findings.
 
     `group_findings` merges equal findings of several runs first. A terminal shows a table, other output one line of
     text per finding.
@@ -105,6 +105,9 @@ def print_findings(findings: Sequence[Finding], console: Console) -> None:
         console: Rich console to print on.
     """
     groups = group_findings(findings)
+    plurals = {"fault": "faults", "advice": "advice", "note": "notes"}
+    counts = (f"{plurals[kind]}: {sum(finding.severity == kind for finding in groups)}" for kind in _STYLES)
+    console.print(", ".join(counts), markup=False, highlight=False)
     if console.is_terminal:
         table = Table(box=None)
         for column in ("", "run", "channel", "finding"):
@@ -116,9 +119,6 @@ def print_findings(findings: Sequence[Finding], console: Console) -> None:
     else:
         for finding in groups:
             console.print(str(finding), markup=False, highlight=False)
-    plurals = {"fault": "faults", "advice": "advice", "note": "notes"}
-    counts = (f"{plurals[kind]}: {sum(finding.severity == kind for finding in groups)}" for kind in _STYLES)
-    console.print(", ".join(counts), markup=False, highlight=False)
 
 
 def refuse_faults(findings: Sequence[Finding], folder: Path) -> None:

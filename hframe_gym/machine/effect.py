@@ -22,13 +22,28 @@ from ..errors import InputError
 
 SiteKind = Literal["coordinate", "motor", "drive", "drives", "belts", "sensor", "machine"]
 Hook = Callable[..., Any]
-HOOKS = (
-    *("force", "reaction", "active_region", "coulomb", "friction", "viscous"),
-    *("voltage", "delay", "current", "torque"),
-    *("tension", "energy_slope", "belt_travel", "lever_arm", "rest_angle_offset"),
-    *("measurement", "measurement_delay"),
-    *("next_state", "initial_spread"),
-)
+#: The hooks, with the quantities that each may take as arguments; the docstring of `Effect` describes them.
+HOOKS: Mapping[str, tuple[str, ...]] = {
+    "force": ("q", "v", "t", "z", "u", "m", "net", "friction"),
+    "reaction": ("q", "v", "m"),
+    "active_region": ("q", "v", "t"),
+    "coulomb": ("q", "v", "t", "z", "u", "level", "drive"),
+    "friction": ("q", "v", "t", "z", "level"),
+    "viscous": ("b", "direction"),
+    "voltage": ("V",),
+    "delay": (),
+    "current": ("i", "z", "V", "q", "v", "N", "R"),
+    "torque": ("i", "q"),
+    "tension": ("s", "rate", "k", "per_radius"),
+    "energy_slope": ("s", "k"),
+    "belt_travel": ("q", "z", "per_radius"),
+    "lever_arm": ("q", "z", "per_radius"),
+    "rest_angle_offset": ("q", "per_radius"),
+    "measurement": ("r", "across"),
+    "measurement_delay": (),
+    "next_state": ("z", "dq", "dt", "v", "dv", "level", "i", "V", "q", "N", "R", "power", "stall_power"),
+    "initial_spread": ("level", "N", "i", "m"),
+}
 
 
 class Named(Protocol):
@@ -115,7 +130,7 @@ class Effect:
     active_region       where the force may differ from zero (default: everywhere)   q, v, t
     coulomb             change of the Coulomb friction force, N or Nm (sum >= 0)     q, v, t, z, u, level, drive
     friction            dry friction force that replaces Coulomb friction, N or Nm   q, v, t, z, level
-    viscous             viscous coefficient of the coordinate, Ns/m or Nms           b, direction (+1 or -1)
+    viscous             viscous coefficient of the coordinate, Ns/m or Nms           b, direction
     voltage             voltage that reaches the drive, V                            V
     delay               delay of the drive's voltage, s
     current             current of the drive, A                                      i, z, V, q, v, N, R
@@ -136,10 +151,11 @@ class Effect:
                         speed of this coordinate
 
     - Coordinate: q, v: position and speed, m or rad, m/s or rad/s; per_radius: 1/radius of a pulley, 1/m; b: viscous
-      coefficient without the effect, Ns/m or Nms; direction: sign of the motion; level: Coulomb friction force with the
-      effects on it, N or Nm; drive: force of its drives, N or Nm. For a force on a coordinate that `structure` adds, if
-      it has the argument net: net, friction: net force and friction (dry and viscous) on the coordinate at the site, N
-      or Nm; m: mass of the added coordinate, kg or kg m^2. For `reaction`, q, v, m are those of the added coordinate.
+      coefficient without the effect, Ns/m or Nms; direction: sign of the motion, +1 or -1; level: Coulomb friction
+      force with the effects on it, N or Nm; drive: force of its drives, N or Nm. For a force on a coordinate that
+      `structure` adds, if it has the argument net: net, friction: net force and friction (dry and viscous) on the
+      coordinate at the site, N or Nm; m: mass of the added coordinate, kg or kg m^2. For `reaction`, q, v, m are those
+      of the added coordinate.
     - Effect: z: its state, 0 when a simulation starts; u: the variable that `against` names; t: time since the machine
       was switched on, s; dt: length of a step, s; dq: distance that the coordinate moves in dt, m or rad;
       dv: change of its speed in dt, m/s or rad/s, 0 where it is not known.
@@ -182,6 +198,9 @@ class Effect:
             unit) -> sets of starting values of a search, by parameter name. Default: those of the parameters' `grid`.
         signal_order: Place on the way of a signal. Where several effects change the same voltage, current or
             measurement, those with smaller numbers act first, in whichever order they are listed in the machine.
+
+    Raises:
+        InputError: If an argument of a hook is neither a parameter nor a quantity of the hook, or is both.
     """
 
     name: str
@@ -224,6 +243,23 @@ class Effect:
     range_ends: tuple[str, str] | None = None
     starting_values: Callable[..., Sequence[Mapping[str, float]]] | None = None
     signal_order: int = 0
+
+    def __post_init__(self) -> None:
+        """Check the names of the hooks' arguments."""
+        parameters = [p.name for p in self.parameters]
+        for hook, quantities in HOOKS.items():
+            function = getattr(self, hook)
+            for name in argument_names(function) if function else ():
+                if name in parameters and name in quantities:
+                    raise InputError(
+                        f"effect {self.name}: the parameter {name} has the name of a quantity of the formula {hook}, "
+                        f"and would hide it; rename the parameter ({hook} knows {', '.join(quantities)})"
+                    )
+                if name not in parameters and name not in quantities:
+                    raise InputError(
+                        f"effect {self.name}: the argument {name} of the formula {hook} is neither a parameter "
+                        f"({', '.join(parameters)}) nor a quantity of {hook} ({', '.join(quantities) or 'none'})"
+                    )
 
     def parameter(self, name: str) -> EffectParameter:
         """Return the declaration of one parameter of the effect: unit, bounds, role.
@@ -375,7 +411,7 @@ class AppliedEffect:
                 (speed). Surplus quantities are ignored.
 
         Raises:
-            KeyError: If an argument of the hook is neither a parameter nor given; the message names it.
+            KeyError: If an argument of the hook is not given; the message names it.
             TypeError: If the effect does not have the hook.
         """
         function = getattr(self.definition, hook)

@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import dataclasses
 import pickle
+import re
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
 
 from hframe_gym.effects import EFFECTS, effect_sites, get_effect
 from hframe_gym.effects.smooth_table import KNOTS
+from hframe_gym.errors import InputError
 from hframe_gym.machine import (
     BUILTIN_MACHINES,
     HOOKS,
     UNITS,
     Contact,
     Effect,
+    EffectParameter,
     Machine,
     argument_names,
     carried_through_contacts,
@@ -26,21 +31,6 @@ pytestmark = pytest.mark.unit
 
 EVERY_EFFECT = pytest.mark.parametrize("effect", EFFECTS.values(), ids=EFFECTS)
 WITH_AMPLITUDE = {name: case for name, case in CASES.items() if EFFECTS[name].amplitudes}
-QUANTITIES = {
-    *"qvtzubViskrmNR",
-    "net",
-    "friction",
-    "direction",
-    "rate",
-    "across",
-    "dq",
-    "dt",
-    "level",
-    "drive",
-    "per_radius",
-    "power",
-    "stall_power",
-}
 PLAIN_UNITS = {"1", "s", "V", "A", "m", "rad", "N", "1/m^2", "1/A^2", "1/W", "kg m^2", "Nm/rad", "Nms", "Hz"}
 
 
@@ -65,15 +55,42 @@ def test_definition_is_complete(effect: Effect, hframe: Machine) -> None:
 
 
 @EVERY_EFFECT
-def test_hooks_use_known_arguments_and_every_parameter(effect: Effect) -> None:
-    """An argument is a quantity or a parameter, and no parameter is without use."""
+def test_every_parameter_is_used(effect: Effect) -> None:
+    """By a hook, or by a structure, whose parameters enter through ties."""
     arguments = {
         name for hook in HOOKS if getattr(effect, hook) for name in argument_names(getattr(effect, hook))
     }
-    names = {p.name for p in effect.parameters}
-    assert arguments - names <= QUANTITIES
-    if not effect.structure:  # parameters of a structure enter through ties
-        assert names <= arguments
+    assert effect.structure or {p.name for p in effect.parameters} <= arguments
+
+
+@pytest.mark.parametrize(
+    ("parameter", "force", "message"),
+    [
+        ("m", lambda q, m: -m * q, "parameter m has the name of a quantity of the formula force"),
+        ("c", lambda p, c: -c * p, r"argument p of the formula force is neither a parameter \(c\) nor"),
+    ],
+)
+def test_an_argument_means_one_thing(parameter: str, force: Callable[..., Any], message: str) -> None:
+    """A parameter must not hide a quantity, and a misspelled quantity is refused with the definition."""
+    with pytest.raises(InputError, match=message):
+        Effect(
+            name="mistaken",
+            family="mistaken",
+            site="coordinate",
+            formula="",
+            source="",
+            force=force,
+            parameters=(EffectParameter(parameter, "1", 0.0, 1.0, scale=1.0),),
+        )
+
+
+def test_quantities_of_the_hooks_are_described() -> None:
+    """The table of the docstring lists the same hooks and quantities."""
+    rows = re.findall(
+        r"^    (\w+) {2,}\S.*? {2,}(.*(?:\n {60,}[\w, ]+$)*)", Effect.__doc__ or "", re.MULTILINE
+    )
+    described = {hook: tuple(re.findall(r"\w+", quantities)) for hook, quantities in rows}
+    assert {hook: described.get(hook, ()) for hook in HOOKS} == HOOKS
 
 
 @EVERY_EFFECT

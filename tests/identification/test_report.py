@@ -126,9 +126,9 @@ def test_the_page_states_that_no_experiment_distinguishes_rivals(data: Dataset, 
 def test_a_channel_that_was_not_measured_has_no_plot_over_time(data: Dataset) -> None:
     result = result_of(data, "no_effect", AXIS)
     curves = plot_data(result)
-    assert len(report_panels(result.as_json(), curves, AXIS)["error_over_time"]) == 1
+    assert len(report_panels(result.as_json(), curves, AXIS, AXIS)["error_over_time"]) == 1
     curves |= {"run_2/measured": np.full_like(curves["run_2/measured"], np.nan)}
-    assert report_panels(result.as_json(), curves, AXIS)["error_over_time"] == []
+    assert report_panels(result.as_json(), curves, AXIS, AXIS)["error_over_time"] == []
 
 
 def test_the_page_states_that_no_recording_distinguishes_equivalent_causes(
@@ -288,7 +288,9 @@ def test_an_effect_is_drawn_with_the_band_of_its_parameters(data: Dataset) -> No
     by_width = 0.8 * shape * 2 * curve.x**2 / 0.02**3
     variance = 0.04 + 0.01 * shape**2 - 2 * 0.018 * shape + 1e-6 * by_width**2
     assert curve.std == pytest.approx(np.sqrt(variance), rel=1e-3)
-    assert "effects" in report_panels(result_of(data, "effect_found", machine).as_json(), curves, machine)
+    report = result_of(data, "effect_found", machine).as_json()
+    assert len(report_panels(report, curves, machine, AXIS)["effects"]) == 1
+    assert not report_panels(report, curves, machine, declared=machine)["effects"]
 
 
 def test_a_periodic_torque_is_drawn_over_its_periods_and_a_state_has_no_curve(data: Dataset) -> None:
@@ -446,6 +448,14 @@ def test_a_table_is_drawn_and_named_as_a_table(data: Dataset, tmp_path: Path) ->
     assert (tmp_path / "plots" / "tables.png").is_file()
     page_of(result_of(data, "no_effect", AXIS), tmp_path)
     assert not (tmp_path / "plots" / "tables.png").exists()
+
+
+def test_a_description_is_drawn_without_a_name(data: Dataset, tmp_path: Path) -> None:
+    """The delivered machine has an effect that is not named as a cause."""
+    result = result_of(data, "unexplained", STRIBECK)
+    page = page_of(dataclasses.replace(result, effects=()), tmp_path)
+    assert "The machine describes a part of the remaining error" in page
+    assert (tmp_path / "plots" / "effects.png").is_file()
 
 
 @pytest.mark.parametrize(

@@ -168,10 +168,10 @@ FOUR_RUNS = (
 
 
 def _outside() -> dict[str, tuple[tuple[str, ...], Build]]:
-    """Return the effects that the library lacks, by name: labels accepted besides `unexplained`, and the build.
+    """Return effects that the library lacked when the set was made, by name: accepted labels, and the build.
 
-    A table (`smooth_force`, `smooth_friction`) names the variable on which a force or a friction level depends. Effects
-    with memory or an additional resonance have no such table.
+    `unexplained` is accepted as well. A table (`smooth_force`, `smooth_friction`) names the variable on which a force
+    or a friction level depends. Effects with memory or an additional resonance have no such table.
     """
     x, y = (partial(change_site, sites=COORDINATES, site=site) for site in "xy")
     motor = partial(change_site, sites=MOTORS)
@@ -198,7 +198,7 @@ def _outside() -> dict[str, tuple[tuple[str, ...], Build]]:
         ),
         "hot motor": (("winding_heat@motor1",), partial(motor, site="motor1", heating_loss=0.02)),
         "commutation ripple": (
-            (),
+            ("commutation_ripple@motor2",),
             partial(motor, site="motor2", current_ripple=0.12, current_ripple_order=35.4),
         ),
     }

@@ -58,7 +58,8 @@ def build_report(folder: Path, final_folder: Path | None = None) -> Path:
     channels = list(machine.output_channels)
     tone = tone_of_remainder(report)
     runs = worst_first(report, curves, channels)
-    panels, effects = report_panels(report, curves, machine, runs), _effect_rows(report, machine)
+    panels = report_panels(report, curves, machine, saved.declared, runs)
+    effects = _effect_rows(report, machine)
     steps = next_steps(saved, final_folder or folder, effects, runs)
     values = {
         "title": f"Identification of {saved.declared.name}",

@@ -40,7 +40,11 @@ _QUANTITIES = {  # of a variable: quantity of the coordinate, and what follows i
 
 
 def report_panels(
-    report: Mapping[str, Any], curves: Mapping[str, Array], machine: Machine, runs: Sequence[str] = ()
+    report: Mapping[str, Any],
+    curves: Mapping[str, Array],
+    machine: Machine,
+    declared: Machine,
+    runs: Sequence[str] = (),
 ) -> Panels:
     """Prepare the plots of an identification report as panels: axes with title, description and drawing function.
 
@@ -50,7 +54,8 @@ def report_panels(
     Args:
         report: Content of report.json.
         curves: Curves by name, such as "force/after", SI, shape (m,) or (n, sensors); `result.plot_data` lists all.
-        machine: Identified machine with the selected effects (deviations from the nominal model).
+        machine: Identified machine.
+        declared: Machine as given. Effects that only the identified machine has are drawn, named as causes or not.
         runs: Names of the held-out runs, those first whose errors are drawn over time. Default: as in the report.
 
     Returns:
@@ -60,8 +65,9 @@ def report_panels(
         tables, is empty.
     """
     channels = list(machine.output_channels)
-    named = {f"{e['name']}@{e['site']}" for e in report["effects"]}
-    found = [effect_curve(effect, machine, curves) for effect in machine.effects if effect.label in named]
+    present = {effect.label for effect in declared.effects}
+    added = [effect for effect in machine.effects if effect.label not in present]
+    effect_curves = (effect_curve(effect, machine, curves) for effect in added)
     worst = (list(runs) or report["runs"]["held_out"])[0]
     return {
         "error_by_channel": [_error_by_channel(report, channels)],
@@ -77,12 +83,8 @@ def report_panels(
             correlations.panel()
             for correlations in error_correlations(curves, worst, channels, machine.input_channels)
         ],
-        "effects": [curve.panel() for curve in found if curve],
-        "tables": [
-            _table(e, machine)
-            for e in machine.effects
-            if e.definition.family == TABLE_FAMILY and e.label in named
-        ],
+        "effects": [curve.panel() for curve in effect_curves if curve],
+        "tables": [_table(e, machine) for e in added if e.definition.family == TABLE_FAMILY],
         "coverage": [
             _coverage(_with_unit(name.removeprefix("coverage/"), machine), values)
             for name, values in curves.items()
