@@ -20,6 +20,7 @@ def test_tensors_of_another_device_are_refused():
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="torch finds no GPU")
+@pytest.mark.filterwarnings("ignore:Attempting to run cuBLAS")  # from torch's own thread of backward()
 def test_gradients_reach_a_policy_on_the_gpu():
     stage = DifferentiableStage(MACHINE, friction="sliding")
     weights = torch.full((stage.rest().shape[1], 2), 0.1, dtype=torch.float64)
