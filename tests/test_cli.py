@@ -143,6 +143,7 @@ def test_identify_refuses_a_faulty_recording_before_it_writes(
     assert_refused(
         hframe_command("identify", tmp_path, "--out", tmp_path / "out"), "a.csv, row 4, column x_m"
     )
+    assert_refused(hframe_command("identify", tmp_path, "--out", tmp_path), "is the folder of the recordings")
     assert not (tmp_path / "out").exists()
 
 

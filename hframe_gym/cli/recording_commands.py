@@ -248,6 +248,9 @@ def identify(
     from ..recordings import load_machine
     from .tables import effect_lines, identification_table
 
+    if out.resolve() == runs_dir.resolve():
+        other = Path("out", runs_dir.resolve().name)
+        raise InputError(f"--out {out}: is the folder of the recordings; give another one, such as {other}")
     declared, rigs = load_machine(machine), rig_folders(runs_dir)
     fit = partial(_fit_rig, declared, hold_out or (), force, budget)
     with locked_folder(require_folder(out)):

@@ -85,7 +85,7 @@ class Scenario:
             raise InputError(f"seed is {self.seed!r}, it must not be negative")
         if not 0.0 < self.duration_s <= LONGEST_EPISODE or self.periods < 1:
             raise InputError(
-                f"period is {self.period:g} s and duration_s is {self.duration_s!r}: an episode must last for "
+                f"period is {self.period:g} s and duration_s is {self.duration_s!r} s: an episode must last for "
                 "at least one control period"
             )
 
@@ -314,7 +314,11 @@ def make_controller(
             return controller
     sources = [CONTROLLER_SOURCES.get(source_name).describe(scenario) for source_name in CONTROLLER_SOURCES]
     choices = [", ".join(CONTROLLERS), "module:name of a controller that a module registers", *sources]
-    problem = ": there is no such folder" if "/" in name or "\\" in name else " is unknown"
+    problem = " is unknown"
+    if name.endswith(".zip"):
+        problem = ": there is no such file"
+    elif "/" in name or "\\" in name:
+        problem = ": there is no such folder"
     raise InputError(
         f"controller {name!r}{problem}; choose {'; or '.join(choices)}{suggestion(name, CONTROLLERS)}"
     )

@@ -294,10 +294,11 @@ class Drive(Component):
         names = [p.name for p in kind.law.parameters] if kind.law else []
         values = {name: kind.defaults[name] for name in names if name in kind.defaults}
         values |= self.law_parameters
-        if set(values) != set(names):
+        problems = [f"{name} is missing" for name in names if name not in values]
+        problems += [f"{name} is no parameter of it" for name in values if name not in names]
+        if problems:
             takes = f"takes {', '.join(names)}" if names else "has no law"
-            given = ", ".join(self.law_parameters) or "nothing"
-            raise InputError(f"drive {self.name!r}: the kind {self.kind!r} {takes}, not {given}")
+            raise InputError(f"drive {self.name!r}: the kind {self.kind!r} {takes}: {', '.join(problems)}")
         object.__setattr__(self, "law_parameters", {name: values[name] for name in names})
 
     @classmethod

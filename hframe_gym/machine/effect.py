@@ -313,8 +313,10 @@ class Effect:
                 its `above` names; the message names it.
         """
         names, label = [p.name for p in self.parameters], f"effect {self.name} at {site}"
-        if set(parameters) != set(names):
-            raise InputError(f"{label} takes {', '.join(names)}, not {', '.join(parameters)}")
+        problems = [f"{name} is missing" for name in names if name not in parameters]
+        problems += [f"{name} is no parameter of it" for name in parameters if name not in names]
+        if problems:
+            raise InputError(f"{label} takes {', '.join(names)}: {', '.join(problems)}")
         for p in self.parameters:
             value = parameters[p.name]
             if not isinstance(value, Real):

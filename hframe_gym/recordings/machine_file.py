@@ -193,6 +193,10 @@ def _reason(error: dict[str, Any]) -> str:
         return f'missing; write {{"value": ..., "unit": "{units}"}}' if units else "missing"
     if error["type"] == "model_type" and _table_at(error["loc"]) is QuantityEntry:
         return 'must be a value with its unit: {"value": ..., "unit": "..."}'
+    if error["type"] == "too_short":
+        return f"has {error['ctx']['actual_length']} entries, must have {error['ctx']['min_length']} or more"
+    if error["type"] == "finite_number":
+        return "must be a finite number"
     if error["type"] == "json_invalid":
         return f'{error["msg"]}. JSON has no comments; write them as "comment": "..."'
     return str(error["msg"])

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..effects import EFFECTS, effect_sites, get_effect
-from ..errors import InputError
+from ..errors import InputError, suggestion
 from ..machine import (
     DRIVE_KINDS,
     SENSED_QUANTITIES,
@@ -349,7 +349,9 @@ class MachineReader:
         try:
             definition = get_effect(entry.name)
         except KeyError:
-            raise self._error(field, f"no such effect; there are {', '.join(EFFECTS)}") from None
+            raise self._error(
+                field, f"no such effect; there are {', '.join(EFFECTS)}{suggestion(entry.name, EFFECTS)}"
+            ) from None
         sites = effect_sites(definition, machine)
         # A file may declare sites that no search tries, and already has the components that a structural effect adds.
         if definition.structure or definition.site in ("drive", "drives", "sensor"):

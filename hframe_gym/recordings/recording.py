@@ -185,18 +185,26 @@ def recording_from_columns(path: Path, columns: Mapping[str, Array], machine: Ma
     if len(time_s) == 0:
         raise InputError(f"{path}: no rows below the header")
     for name, column in columns.items():
-        refuse_rows(path, name, column, np.isinf(column), "is infinite")
+        refuse_rows(path, name, column, np.isinf(column), "is infinite; correct the cell")
     for name in ("time_s", *machine.input_channels, *(c for c in machine.supply_channels if c in columns)):
         reason = "is empty. Times and inputs must have no gaps"
         reason += "" if name == "time_s" else "; hframe import keeps the value before it"
         refuse_rows(path, name, columns[name], np.isnan(columns[name]), reason)
-    refuse_decreasing_times(path, time_s)
+    try:
+        refuse_decreasing_times(path, time_s)
+    except InputError as error:
+        convert = f"{import_command(path)} --map time_s=1000Hz"
+        raise InputError(
+            f"{error}: correct the time or delete the row. If the rows are regular: {convert}"
+        ) from None
     _refuse_gaps(path, time_s)
     inputs = np.column_stack([_voltages(path, columns, drive) for drive in machine.drives])
     unmeasured = np.full(len(time_s), np.nan)
     outputs = np.column_stack([columns.get(c, unmeasured) for c in machine.output_channels])
     if any(c in columns for c in machine.output_channels) and np.all(np.isnan(outputs)):
-        raise InputError(f"{path}, columns {', '.join(machine.output_channels)}: all outputs are empty")
+        raise InputError(
+            f"{path}, columns {', '.join(machine.output_channels)}: all outputs are empty; one must be measured"
+        )
     recording = Recording(run_name(path), time_s, inputs, outputs)
     _check_units(path, recording, machine)
     return recording

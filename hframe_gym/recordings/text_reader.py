@@ -267,7 +267,9 @@ class _BlockReader:
         for number, line in enumerate(block.split("\n"), start=self._rows + 1):
             row = split_row(line, self._layout.separator)
             if len(row) not in (len(names), len(names) + 1) or any(row[len(names) :]):
-                raise InputError(f"{position}{number}: {len(row)} cells under {len(names)} columns")
+                raise InputError(
+                    f"{position}{number}: {len(row)} cells under {len(names)} columns; is the row cut off?"
+                )
             for column in (*self.numbers, *self.stamps):
                 cell = row[column]
                 if is_missing(cell):
@@ -280,7 +282,9 @@ class _BlockReader:
                         float(cell.translate(marks))
                 except ValueError:
                     what = "a time stamp" if column in self.stamps else "a number"
-                    advice = "; dates and times are read as 2024-05-31T12:00:00.5" if ":" in cell else ""
+                    advice = "; correct the cell, or leave it empty if nothing was measured"
+                    if ":" in cell:
+                        advice = "; dates and times are read as 2024-05-31T12:00:00.5"
                     if {".", ","} <= set(cell):  # such as 1.500,5
                         advice = "; export it without marks that separate thousands"
                     text = f"column {names[column]}: {cell!r} is not {what}{advice}"

@@ -121,7 +121,7 @@ def test_one_number_for_both_ends_of_a_range_keeps_their_order():
         ({"low": 0.1, "high": -0.1}, "range at x_m: high = -0.1 is below low = 0.1; it must not be smaller"),
         ({"low": "left", "high": 0.1}, "effect sensor_range at x_m: low is 'left', it must be a number"),
         ({"low": np.nan, "high": 0.1}, "effect sensor_range at x_m: low = nan is outside"),
-        ({"low": 0.1}, "effect sensor_range at x_m takes low, high, not low"),
+        ({"low": 0.1}, "effect sensor_range at x_m takes low, high: high is missing"),
     ],
 )
 def test_an_impossible_sensor_range_is_refused(ends, message):

@@ -63,7 +63,7 @@ def toy_module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]
         ({"period": -0.01}, "period is -0.01"),
         ({"period": float("nan")}, "period is nan"),
         ({"episodes": 0}, "episodes is 0"),
-        ({"duration_s": 0.001}, "period is 0.01 s and duration_s is 0.001: .* at least one control period"),
+        ({"duration_s": 0.001}, "period is 0.01 s and duration_s is 0.001 s: .* at least one control period"),
         ({"seed": -1}, "seed is -1"),
         ({"duration_s": float("inf")}, "duration_s is inf"),
     ],

@@ -128,9 +128,18 @@ def rename(path: list[Any], field: str, other: str) -> Callable[[dict[str, Any]]
             "coordinates.phi1.radius: 1e+31 must be positive, between 1e-30 and 1e+30",
         ),
         (change(["schema"], 2), "schema"),
+        (change(["drives"], []), "drives: has 0 entries, must have 1 or more"),
+        (
+            change(["coordinates", 0, "mass", "value"], float("nan")),
+            "coordinates.x.mass.value: must be a finite number",
+        ),
         (
             change(["effects"], [{"name": "magic", "site": "x", "parameters": {}}]),
             "effects.magic: no such effect",
+        ),
+        (
+            change(["effects"], [{"name": "coging", "site": "motor1", "parameters": {}}]),
+            "did you mean 'cogging'?",
         ),
         (
             change(["effects"], [{"name": "constant_force", "site": "z", "parameters": {}}]),

@@ -54,7 +54,10 @@ def test_columns_may_come_in_any_order_and_outputs_may_be_empty(write_run: Write
             {(7, "time_s"): "5.001"},
             "row 7, column time_s: 5.001 goes back, row 6 is 5.005; times must increase",
         ),
-        ({(7, "time_s"): "5.005"}, "row 7, column time_s: 5.005 repeats row 6; times must increase"),
+        (
+            {(7, "time_s"): "5.005"},
+            "5.005 repeats row 6; times must increase: correct the time or delete the row",
+        ),
         ({(7, "time_s"): ""}, "row 7, column time_s"),
         ({(7, "x_m"): "125.0"}, "row 7, column x_m: 125 cannot be m; is the column in millimeters?"),
         (

@@ -196,7 +196,7 @@ class _LogMapping:
                 if channel not in (TIME, *self.channels):
                     near = suggestion(channel, (TIME, *self.channels))
                     raise InputError(
-                        f"--{option} {channel}=...: no such channel; {self._channels_text()}{near}"
+                        f"--{option} {channel}=...: no such channel. {self._channels_text()}{near}"
                     )
 
     def _refuse_back_emf(self) -> None:
@@ -277,7 +277,7 @@ class _LogMapping:
             return self._column_of_reference(channel, reference)
         if channel not in self.machine.output_channels:
             option = _map_option(channel, reference)
-            raise InputError(f"{option}: only outputs may be left out; {self._channels_text()}")
+            raise InputError(f"{option}: only outputs may be left out. {self._channels_text()}")
         return None
 
     def _refuse_repeated_columns(self, columns: Mapping[str, LogColumn | None]) -> None:

@@ -718,7 +718,7 @@ def test_an_output_without_a_column_must_be_declared_unless_no_column_is_left(
         (
             "time_s,v1,v2,phi1,phi2,x,z,y",
             {"columns": {"u_V": "z"}},
-            "--map u_V=...: no such channel; Machine 'hframe'",
+            "--map u_V=...: no such channel. Machine 'hframe'",
         ),
         (
             "time_s,v1,v2,phi1,phi2,x,z,y",
