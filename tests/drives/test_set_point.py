@@ -10,7 +10,11 @@ import pytest
 from hframe_gym import load_machine, make_controller, simulate
 from hframe_gym.data_validation import check_recordings
 from hframe_gym.errors import InputError
-from hframe_gym.identification import identify
+from hframe_gym.identification import SelectionCriteria, identify, prepare
+from hframe_gym.identification.fit.estimation import fit
+from hframe_gym.identification.fit.run_differences import find_run_differences
+from hframe_gym.identification.predict.free_parameters import default_free_parameters
+from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH
 from hframe_gym.machine import Coordinate, Drive, Machine, Sensor
 from hframe_gym.recordings import Recording, load_recording, machine_to_dict, save_machine
 from hframe_gym.recordings.logs import ImportSettings, MappingOptions, import_logs, open_logs, propose_columns
@@ -192,3 +196,18 @@ def test_a_servo_turns_to_its_goal(kind: str) -> None:
     # Without an integral, friction holds the shaft within Coulomb friction over stiffness, 9 mrad.
     error = abs(float((observation["achieved_goal"] - observation["desired_goal"])[0]))
     assert error < (0.02 if kind == "position" else 1e-3)
+
+
+def test_the_friction_that_differs_between_runs_is_found():
+    servo, sensor = SERVOS["position"], SENSORS["position"]
+    machine, recordings = servo_machine("position", servo), []
+    for run, dry in enumerate((0.003, 0.006, 0.009)):
+        motion = record(Axis(servo=servo, coulomb=dry), held_levels(run, 400, 40, 1.0), 400, PERIOD)
+        angle = np.rint(motion.position / sensor.resolution) * sensor.resolution
+        recordings.append(Recording(f"run_{run}", motion.time_s, motion.command[:, None], angle[:, None]))
+    data = prepare(recordings, machine)
+    fitted = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
+    found = find_run_differences(fitted, data, SelectionCriteria())
+    assert found is not None
+    assert found.quantity.name == "shaft.coulomb"
+    assert list(found.amounts.values()) == pytest.approx([0.0, np.log(2.0), np.log(3.0)], abs=0.1)

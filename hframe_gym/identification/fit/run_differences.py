@@ -290,7 +290,7 @@ class _ModelByRun:
     def __init__(self, fitted: Fit, data: Dataset) -> None:
         machine, n = fitted.machine, len(data.runs)
         not_fixed = {*(f.name for f in fitted.free), *machine.ties}
-        gains = {f"{d.name}.Kt": d.Kt for d in machine.drives}
+        gains = {f"{d.name}.Kt": d.Kt for d in machine.drives if not d.law}
         self._fixed = tuple(
             FreeParameter(name, Kt, 1.0) for name, Kt in gains.items() if name not in not_fixed
         )
