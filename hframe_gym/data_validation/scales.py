@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..dynamics import resolved_step, rollout
 from ..identification import Dataset, PreparedRecording
-from ..machine import Machine, Sensor
+from ..machine import Machine, Sensor, commanded_state
 from ..preparation.force_balance import EXPLAINED, Balance
 from ..recordings import bridge_blanks, comparison_window
 from .findings import Finding, channel_unit
@@ -189,14 +189,13 @@ def _first_rows(run: PreparedRecording) -> PreparedRecording:
 
 
 def _simulate_outputs(machine: Machine, run: PreparedRecording) -> Array:
-    """Simulate outputs, shape (n, sensors), from the center of the workspace.
+    """Simulate outputs, shape (n, sensors), from the center of the workspace or, if it is commanded, that position.
 
-    A position in a wrong unit would be far outside.
+    A measured position in a wrong unit would be far outside.
     """
-    step = resolved_step(machine, _STEP)
-    return np.asarray(
-        rollout(machine, run.time_s, run.inputs, longest_step=step)[0] @ machine.sensor_matrix.T
-    )
+    step, start = resolved_step(machine, _STEP), commanded_state(machine, run.inputs[0])
+    positions = rollout(machine, run.time_s, run.inputs, start=start, longest_step=step)[0]
+    return np.asarray(positions @ machine.sensor_matrix.T)
 
 
 def _units(motion: _SpanMotion, data: Dataset, machine: Machine, balance: Balance | None) -> list[Finding]:

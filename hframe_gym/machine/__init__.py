@@ -34,6 +34,7 @@ from .diagram import draw_machine
 from .effect import HOOKS, AppliedEffect, Effect, EffectParameter, Hook, argument_names
 from .machine import Contact, Machine
 from .motion import (
+    commanded_state,
     MotionLimits,
     carried_through_contacts,
     motion_limits,
@@ -116,6 +117,7 @@ __all__ = [
     "position_of_point",
     "pulley_names",
     "rest_positions_per_axis",
+    "commanded_state",
     "rest_state",
     "rigid_motions",
     "stage_geometry",

@@ -167,6 +167,11 @@ class Machine:
         return np.array([self.coefficients(s.row) if s.of_position else nothing for s in self.sensors])
 
     @cached_property
+    def position_commands(self) -> dict[str, int]:
+        """Column of the inputs that commands the position of a coordinate, by the coordinate's name."""
+        return {d.coordinate: k for k, d in enumerate(self.drives) if d.command == "position"}
+
+    @cached_property
     def position_sensors(self) -> NDArray[np.bool_]:
         """Whether each sensor measures positions, shape (sensors,)."""
         return np.array([s.of_position for s in self.sensors], np.bool_)

@@ -51,6 +51,31 @@ def rest_state(machine: Machine, position: ArrayLike | None = None) -> Array:
     return np.concatenate([q, np.zeros(len(q))])
 
 
+def commanded_state(machine: Machine, commands: ArrayLike) -> Array:
+    """Return the state at rest in which the coordinates with a commanded position are where the command holds them.
+
+    Belts are not stretched, or as little as possible.
+
+    Args:
+        machine: Machine, of whose drives some may follow a position.
+        commands: Inputs, in the drives' units, shape (drives,); only commanded positions matter.
+
+    Returns:
+        Positions of all coordinates, m or rad, then velocities, which are zero, shape (2 * coordinates,). That of
+        `rest_state` if no position is commanded.
+    """
+    held = [machine.coordinate_names.index(name) for name in machine.position_commands]
+    if not held:
+        return rest_state(machine)
+    q = np.zeros(len(machine.coordinates))
+    q[held] = np.asarray(commands, float)[list(machine.position_commands.values())]
+    free = [i for i in range(len(q)) if i not in held]
+    if free and machine.belts:
+        G = machine.belt_matrix
+        q[free] = np.linalg.lstsq(G[:, free], -G[:, held] @ q[held], rcond=None)[0]
+    return np.concatenate([q, np.zeros(len(q))])
+
+
 def _unstretched(machine: Machine, leaders: Sequence[int], position: ArrayLike) -> Array:
     """Return the positions (coordinates,) in which the pulleys follow the leading coordinates without stretch."""
     q = np.zeros(len(machine.coordinates))

@@ -180,7 +180,8 @@ def estimate_initial_state(
     """Estimate the state at rest and the sensors' zeros (measurements at position 0) from one run.
 
     Sensors with a known zero determine the position: lasers, whose zero is fixed, and encoders whose zero is given.
-    Other encoders are used only where nothing else measures. Only encoders with a known zero measure a stretch of the
+    Other encoders are used only where nothing else measures; one on a coordinate whose position is commanded then counts
+    from the place where the coordinate follows its command. Only encoders with a known zero measure a stretch of the
     belts. A laser that is saturated at rest is replaced by its later measurements minus the encoders' displacement.
 
     Args:
@@ -205,7 +206,9 @@ def estimate_initial_state(
     lasers_measured = _rank(seen[fixed & measured]) == _rank(seen) or not fixed.any()
     position_measured = lasers_measured or _rank(seen[(fixed | known) & measured]) == _rank(seen)
 
-    zeroed = measurement - np.where(known, zeros.values, 0.0)  # (sensors,)
+    zeroed = measurement - np.where(
+        known, zeros.values, _zeros_by_command(recording, machine, rows)
+    )  # (sensors,)
     warnings: tuple[str, ...] = ()
     if not position_measured:
         later = _later_measurements(recording, measurement, machine, rigid)
@@ -251,6 +254,27 @@ def _measurement_at_rest(values: Array, resting_rows: int, sensor: Sensor) -> fl
             return float(np.nanmean(values[rows]))
     later = values[np.isfinite(values)] if sensor.incremental else np.zeros(0)
     return float(later[0]) if len(later) else np.nan
+
+
+def _zeros_by_command(recording: Recording, machine: Machine, resting_rows: int) -> Array:
+    """Return the zero of each encoder on a coordinate with a commanded position, shape (sensors,); 0 for other sensors.
+
+    At rest the coordinate is where its command holds it. A run that begins in motion follows its command with a lag, so
+    that its zero is known only where encoder and command are further apart than they move against each other.
+    """
+    found = np.zeros(len(machine.sensors))
+    for j, sensor in enumerate(machine.sensors):
+        column = machine.position_commands.get(sensor.coordinate)
+        if column is None or not sensor.incremental:
+            continue
+        command = recording.inputs[:, column] * sensor.row[sensor.coordinate]
+        apart = recording.outputs[:, j] - command
+        if resting_rows > 1 and np.isfinite(apart[:resting_rows]).any():
+            found[j] = np.nanmean(apart[:resting_rows])
+        elif np.isfinite(apart).any():
+            middle = float(np.nanmedian(apart))
+            found[j] = middle if abs(middle) > np.nanmax(np.abs(apart - middle)) else 0.0
+    return found
 
 
 def _position_matrix(

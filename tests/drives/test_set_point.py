@@ -211,3 +211,28 @@ def test_the_friction_that_differs_between_runs_is_found():
     assert found is not None
     assert found.quantity.name == "shaft.coulomb"
     assert list(found.amounts.values()) == pytest.approx([0.0, np.log(2.0), np.log(3.0)], abs=0.1)
+
+
+def displaced_runs(first_row: int, place: float = 5.0) -> tuple[Machine, list[Recording]]:
+    """Return a servo and its runs from some row on; commands are around a place, rad, and its encoder counts 2 rad more."""
+    servo, sensor, recordings = SERVOS["position"], SENSORS["speed"], []
+    for run in range(3):
+        motion = record(Axis(servo=servo), held_levels(run, 400, 40, 1.0), 400, PERIOD)
+        angle = np.rint((motion.position + place + 2.0) / sensor.resolution) * sensor.resolution
+        columns = (motion.time_s, motion.command[:, None] + place, angle[:, None])
+        recordings.append(Recording(f"run_{run}", *(column[first_row:] for column in columns)))
+    return servo_machine("position", servo, sensor), recordings
+
+
+@pytest.mark.parametrize(("first_row", "tolerance"), [(0, 0.03), (100, 0.3)])
+def test_an_encoder_counts_from_the_place_that_the_command_holds(first_row, tolerance):
+    machine, recordings = displaced_runs(first_row)
+    initial = prepare(recordings, machine).runs[0].initial
+    assert initial.zeros == pytest.approx([2.0], abs=tolerance)
+    assert initial.position == pytest.approx(recordings[0].outputs[0] - 2.0, abs=tolerance)
+
+
+def test_a_command_far_from_zero_is_no_wrong_unit():
+    machine, recordings = displaced_runs(0, 500.0)
+    found = check_recordings(recordings, machine)
+    assert not [f for f in found if f.channel == "phi_rad" and f.severity != "note"]
