@@ -34,9 +34,9 @@ from .diagram import draw_machine
 from .effect import HOOKS, AppliedEffect, Effect, EffectParameter, Hook, argument_names
 from .machine import Contact, Machine
 from .motion import (
-    commanded_state,
     MotionLimits,
     carried_through_contacts,
+    commanded_state,
     motion_limits,
     observed_coordinates,
     pulley_names,
@@ -109,6 +109,7 @@ __all__ = [
     "Variant",
     "argument_names",
     "carried_through_contacts",
+    "commanded_state",
     "descriptions",
     "draw_machine",
     "drawn_point",
@@ -117,7 +118,6 @@ __all__ = [
     "position_of_point",
     "pulley_names",
     "rest_positions_per_axis",
-    "commanded_state",
     "rest_state",
     "rigid_motions",
     "stage_geometry",

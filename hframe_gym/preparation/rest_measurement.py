@@ -180,9 +180,9 @@ def estimate_initial_state(
     """Estimate the state at rest and the sensors' zeros (measurements at position 0) from one run.
 
     Sensors with a known zero determine the position: lasers, whose zero is fixed, and encoders whose zero is given.
-    Other encoders are used only where nothing else measures; one on a coordinate whose position is commanded then counts
-    from the place where the coordinate follows its command. Only encoders with a known zero measure a stretch of the
-    belts. A laser that is saturated at rest is replaced by its later measurements minus the encoders' displacement.
+    Other encoders are used only where nothing else measures; one on a coordinate whose position is commanded then
+    counts from where the command holds it. Only encoders with a known zero measure a stretch of the belts. A laser
+    that is saturated at rest is replaced by its later measurements minus the encoders' displacement.
 
     Args:
         recording: The run (times, voltages, measurements); saturated measurements are NaN.

@@ -214,7 +214,7 @@ def test_the_friction_that_differs_between_runs_is_found():
 
 
 def displaced_runs(first_row: int, place: float = 5.0) -> tuple[Machine, list[Recording]]:
-    """Return a servo and its runs from some row on; commands are around a place, rad, and its encoder counts 2 rad more."""
+    """Return a servo and its runs from a row on; commands are around a place, rad; its encoder counts 2 rad more."""
     servo, sensor, recordings = SERVOS["position"], SENSORS["speed"], []
     for run in range(3):
         motion = record(Axis(servo=servo), held_levels(run, 400, 40, 1.0), 400, PERIOD)
