@@ -1,38 +1,47 @@
-"""Dry friction that rises with the age of the contact, F = Fc + dF ln(1 + z/tau), as after a dwell.
+"""Dry friction that rises with the age of the contact, F = Fc + dF ln(1 + a/tau), as after a dwell.
 
-The age z grows with time, and motion renews the contact over a distance D: dz/dt = 1 - |v| z/D. At constant speed it
-is D/|v|, so that friction falls with speed: F = Fc + dF ln(1 + D/(|v| tau)).
+The age a grows with time, and motion renews the contact over a distance D: da/dt = 1 - |v| a/D. At constant speed it
+is D/|v|, so that friction falls with speed: F = Fc + dF ln(1 + D/(|v| tau)). How long the machine rested before a
+recording is unknown. The state is therefore z = ln(1 + a/tau), on which the friction depends linearly.
 """
 
 from ..dynamics.elementwise import absolute, exp, log, maximum
 from ..machine import Effect, EffectParameter
 
 _LEAST_PATH = 1e-6  # of D; below, the mean of exp(-path) over a step is 1 within half of this
+_REST = 10.0  # s; typical rest before a recording
 
 
-def next_state(z, dq, dt, D):  # type: ignore[no-untyped-def]
-    """Return the age of the contact, s, after a motion dq in the time dt, s: the solution for constant speed.
+def next_state(z, dq, dt, tau, D):  # type: ignore[no-untyped-def]
+    """Return the state z = ln(1 + a/tau) after a motion dq in the time dt, s: the solution for constant speed.
 
-    D is the distance over which motion renews the contact, m or rad, as dq.
+    D is the distance over which motion renews the contact, m or rad, as dq; tau: s.
     """
     path = absolute(dq) / D
     long_enough = maximum(path, _LEAST_PATH)
-    return z * exp(-path) + dt * (1.0 - exp(-long_enough)) / long_enough
+    left = exp(-path)
+    return log(1.0 + (exp(z) - 1.0) * left + dt / tau * (1.0 - exp(-long_enough)) / long_enough)
 
 
-def coulomb(z, dF, tau):  # type: ignore[no-untyped-def]
-    """Return the change dF ln(1 + z/tau) of the Coulomb friction force, N or Nm; z, tau: s, dF: force per e-fold."""
-    return dF * log(1.0 + z / tau)
+def coulomb(z, dF):  # type: ignore[no-untyped-def]
+    """Return the change dF z of the Coulomb friction force, N or Nm; dF: force per e-fold of the age."""
+    return dF * z
+
+
+def initial_spread(tau):  # type: ignore[no-untyped-def]
+    """Return the standard deviation of the state at the start of a recording: that after a typical rest; tau: s."""
+    return log(1.0 + _REST / tau)
 
 
 EFFECT = Effect(
     name="dwell_friction",
     family="stribeck_friction",
     site="coordinate",
-    formula="F = Fc + dF ln(1 + z/tau), dz/dt = 1 - |v| z/D",
+    formula="F = Fc + dF ln(1 + a/tau), da/dt = 1 - |v| a/D",
     source="Dieterich 1979, J. Geophys. Res. 84(B5); Ruina 1983, J. Geophys. Res. 88(B12)",
     coulomb=coulomb,
     next_state=next_state,
+    initial_spread=initial_spread,
     parameters=(
         EffectParameter("dF", "force", 0.0, 1e3, scale=0.1, role="amplitude"),
         EffectParameter("tau", "s", 1e-4, 1e3, scale=1.0, grid=(0.02, 0.2)),

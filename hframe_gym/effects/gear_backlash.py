@@ -2,24 +2,28 @@
 
 The coordinate of the drive becomes the motor's side of the gap; the belts act on a coordinate behind it, with the
 inertia J and the dry friction F, which the motor's side loses. The teeth have the stiffness K and push where the
-angles of both sides differ by more than d, half the gap.
+angles of both sides differ by more than d, half the gap. Their damping ratio Z ends the rebounds.
 """
 
 import dataclasses
 from collections.abc import Mapping
 
+from ..dynamics.elementwise import maximum, minimum, sqrt, where
 from ..machine import AppliedEffect, Belt, Coordinate, Effect, EffectParameter, Machine
 from .belt_play import beyond_play
 
 _LEAST_SHARE = 0.2  # of inertia and friction that remains before the gap
 
 
-def tension(s, k, d, per_radius):  # type: ignore[no-untyped-def]
-    """Return the force of the teeth, k (s - clip(s, -d r, d r)), N.
+def tension(s, rate, k, d, J, Z, per_radius):  # type: ignore[no-untyped-def]
+    """Return the force of the teeth, N: k u + c u' where they touch, u = s - clip(s, -d r, d r); they never pull.
 
-    s: motor's side minus far side, m, k: stiffness, N/m, d: half the gap, rad or m, per_radius: 1/r, 1/m.
+    s: motor's side minus far side, m, rate: its rate, m/s, k: stiffness, N/m, d: half the gap, rad or m, J: inertia
+    behind it, kg m^2, Z: damping ratio of its vibration against the teeth, per_radius: 1/r, 1/m.
     """
-    return k * beyond_play(s, d / per_radius)
+    pressed = beyond_play(s, d / per_radius)
+    force = k * pressed + 2.0 * Z * sqrt(k * J) * per_radius * rate
+    return where(pressed > 0.0, maximum(force, 0.0), where(pressed < 0.0, minimum(force, 0.0), 0.0))
 
 
 def _names(machine: Machine, site: str) -> tuple[str, str, str]:
@@ -85,7 +89,7 @@ EFFECT = Effect(
     site="motor",
     belt="{site}_teeth",
     half_gap="d",
-    formula="J far'' + F sign(far') = K (s - clip(s, -d, d)) - belts, s = motor - far",
+    formula="J far'' + F sign(far') = K u + 2 Z sqrt(K J) u' - belts, u = s - clip(s, -d, d), s = motor - far",
     source="Nordin and Gutman 2002, Automatica 38(10), the dead-zone model",
     tension=tension,
     structure=structure,
@@ -97,5 +101,6 @@ EFFECT = Effect(
         EffectParameter("J", "mass", 1e-12, 1e3, scale=0.1, grid=(0.05, 0.4)),
         EffectParameter("F", "force", 0.0, 1e3, scale=0.1, grid=(0.01,)),
         EffectParameter("K", "stiffness", 1e-6, 1e12, scale=1e4, grid=(2e4,)),
+        EffectParameter("Z", "1", 0.0, 1.0, scale=1.0, grid=(0.3,)),
     ),
 )

@@ -185,12 +185,13 @@ _CASES = (
     Case(
         "gear_backlash",
         "motor1",
-        {"d": 2e-3, "J": 0.3 * Rig().mass[2], "F": 0.3 * Rig().coulomb[2], "K": 100.0},
+        {"d": 2e-3, "J": 0.3 * Rig().mass[2], "F": 0.3 * Rig().coulomb[2], "K": 100.0, "Z": 0.4},
         {
             "backlash_rad": (2e-3, 0.0),
             "backlash_motor_fraction": 0.7,
             "backlash_motor_viscous": 1.0,
             "backlash_stiffness": 100.0,
+            "backlash_damping": 0.4,
         },
     ),
     Case("belt_damping", "belts", {"c": 1e-3}, {"belt_damping_s": 1e-3}),

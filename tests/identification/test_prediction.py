@@ -56,6 +56,22 @@ def test_observer_is_critically_damped(axis: Machine) -> None:
     np.testing.assert_allclose(np.abs(np.linalg.eigvals(transition)), 0.94, atol=0.02)
 
 
+@pytest.mark.parametrize("name", ["belt-axis", "corexy"])
+def test_what_no_sensor_corrects_follows_without_stretching_belts(name: str) -> None:
+    """A motor without encoder behind a measured carriage, or carriages behind two encoders."""
+    machine = BUILTIN_MACHINES[name]()
+    kind = "linear" if name == "belt-axis" else "rotary"
+    measured = [s for s in machine.sensors if machine.coordinate(s.coordinate).kind == kind]
+    alone = machine.replace(sensors=tuple(measured))
+    gains = observer_gains(alone, 1e-3)
+    count = len(alone.coordinates)
+    assert (np.abs(gains).max(axis=1) > 0.0).all()
+    for half in (gains[:count], gains[count:]):
+        travel = half * alone.travel_per_unit[:, None]
+        stretch = [alone.coefficients(belt.extension) @ travel for belt in alone.belts]
+        assert np.abs(stretch).max() < 1e-12 * np.abs(travel).max()
+
+
 @pytest.mark.parametrize("bandwidth", [SEARCH_BANDWIDTH, SIMULATION])
 def test_the_true_machine_leaves_no_residual(axis: Machine, data: Dataset, bandwidth: float) -> None:
     motion = predict(axis, data.runs[0], bandwidth, period=data.period, longest_step=0.125e-3)

@@ -162,6 +162,15 @@ def test_a_winding_is_warm_from_motion_before_the_recording(axis: Machine) -> No
     assert np.abs(simulated.error).max() < 1e-5
 
 
+def test_a_contact_aged_before_the_recording(axis: Machine) -> None:
+    machine = axis.with_effects(EFFECTS["dwell_friction"].at("x", dF=0.3, tau=0.02, D=1e-3))
+    aged = np.log1p(8.0 / 0.02)  # 8 s of rest
+    run = moving_run(machine, np.array([*rest_state(machine), aged]))
+    simulated = simulate_recording(machine, run)
+    assert simulated.initial.effect_states == {("dwell_friction@x", "x"): pytest.approx(aged, abs=0.05)}
+    assert np.abs(simulated.error).max() < 1e-5
+
+
 def test_nothing_to_refine_without_hysteresis(axis: Machine) -> None:
     data = prepare([moving_run(axis, rest_state(axis))], axis)
     assert refine_dataset(data, axis) is data

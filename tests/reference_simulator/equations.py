@@ -68,6 +68,8 @@ def derivative(
         gap_rate = z[n + link.first] - z[n + link.second]
         deflection = gap - min(max(gap, -link.half_gap), link.half_gap)
         link_force = link.stiffness * deflection + link.viscous * gap_rate
+        if link.half_gap > 0.0 and deflection * link_force <= 0.0:
+            link_force = 0.0  # the teeth do not touch, and never pull
         force[link.first] -= link_force
         force[link.second] += link_force
     for i in range(n):

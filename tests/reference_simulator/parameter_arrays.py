@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -138,7 +139,8 @@ def parameter_arrays(rig: Rig) -> tuple[ParameterArrays, MeasuredCoordinates]:
             rotor = add(**{name: pulley[name] * fraction for name, fraction in fractions.items()})
             for name, fraction in fractions.items():
                 pulley[name] *= 1.0 - fraction
-            links.append((2 + j, rotor, rig.backlash_stiffness, 0.0, half_gap))
+            damping = 2.0 * rig.backlash_damping * math.sqrt(rig.backlash_stiffness * pulley["mass"])
+            links.append((2 + j, rotor, rig.backlash_stiffness, damping, half_gap))
             encoders[j] = rotor
     if rig.payload:
         payload = add(mass=rig.payload.mass_kg)

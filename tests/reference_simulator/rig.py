@@ -167,6 +167,7 @@ class Rig:
         0.0,
     )  # half the gap between the motor's gear, which the encoder measures, and the pulley
     backlash_stiffness: float = 300.0  # Nm/rad of the teeth
+    backlash_damping: float = 0.0  # damping ratio of the pulley's inertia against the teeth
     backlash_motor_fraction: float = (
         0.6  # of the coordinate's inertia and friction, on the motor's side of the gap
     )

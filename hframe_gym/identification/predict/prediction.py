@@ -23,6 +23,7 @@ from ...distributed import single_threaded_linear_algebra
 from ...dynamics import resolved_step, simulate_batch
 from ...dynamics.simulation import Motion, threads
 from ...machine import Machine, carried_through_contacts
+from ...preparation.belt_stretch import rigid_basis
 from ...preparation.dataset import Dataset, PreparedRecording
 from ...preparation.sensor_zeros import max_fitted_zero_means, max_zero_means, sensor_zero_error
 from ...preparation.voltage_updates import at_updates, update_times, updated_inputs
@@ -114,7 +115,8 @@ def observer_gains(machine: Machine, period: float, bandwidth: float = SEARCH_BA
     """Return the gains of the Luenberger observer that feeds measurements back into a prediction.
 
     Each sensor of a position corrects its coordinate by an observer of second order with two equal poles at the
-    bandwidth; one of a speed corrects the velocity, with one pole. What is behind the teeth of a gear moves with it.
+    bandwidth; one of a speed corrects the velocity, with one pole. What is behind the teeth of a gear moves with it,
+    and coordinates that no sensor corrects follow so that no belt is stretched.
 
     Args:
         machine: Machine whose sensors are fed back.
@@ -139,7 +141,26 @@ def observer_gains(machine: Machine, period: float, bandwidth: float = SEARCH_BA
             gains[count + i, j] = rate**2 / period / sensor.row[name]
         else:
             gains[count + i, j] = 2 * rate / sensor.row[name]
-    return np.vstack([carried_through_contacts(machine, half.T).T for half in np.split(gains, 2)])
+    carried = [carried_through_contacts(machine, half.T).T for half in np.split(gains, 2)]
+    return np.vstack(_followed(machine, carried))
+
+
+def _followed(machine: Machine, gains: list[Array]) -> list[Array]:
+    """Return gains with which uncorrected coordinates follow the others along motions that stretch no belt.
+
+    If a motor without encoder stayed where it is, each correction of the carriage would stretch the belt. The forces
+    would push the carriage back, and a fit would find a soft belt.
+    """
+    still = ~np.any([half.any(axis=1) for half in gains], axis=0)  # (coordinates,)
+    if still.all() or not still.any() or not machine.belts:
+        return gains
+    rigid = rigid_basis(machine) * machine.travel_per_unit[:, None]
+    follow = rigid[still] @ np.linalg.pinv(rigid[~still])  # travel per travel of the corrected coordinates
+    follow *= machine.travel_per_unit[~still] / machine.travel_per_unit[still][:, None]
+    followed = [half.copy() for half in gains]
+    for half in followed:
+        half[still] = follow @ half[~still]
+    return followed
 
 
 def predict(
