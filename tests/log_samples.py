@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 import shutil
 import struct
+import warnings
 import zlib
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
+import pandas as pd
 from mcap.writer import Writer as McapWriter
 from rosbags import rosbag1, rosbag2
 from rosbags.typesys import Stores, get_typestore
@@ -138,6 +140,21 @@ def write_matlab(path: Path, **variables: Any) -> None:
         table.attrs["MATLAB_object_decode"] = 3
     with open(path, "r+b") as raw:
         raw.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM")
+
+
+def write_matlab_objects(path: Path, version: str, seconds: Any, values: Any) -> None:
+    """Write a timetable, a timeseries with equal steps and an array; versions are "v7" and "v7.3"."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # mat-io warns of its own use of pandas
+        from matio import save_to_mat
+        from matio.utils.matclass import MatlabOpaque
+
+        timetable = pd.DataFrame({"x": values}, index=pd.to_timedelta(seconds, unit="s"))
+        step = np.diff(seconds[:2]).item()
+        times = {"Time_": np.zeros((0, 0)), "Start_": seconds[0], "Increment_": step, "Length": len(seconds)}
+        info = MatlabOpaque(times, classname="tsdata.timemetadata")
+        series = MatlabOpaque({"Data_": values[:, None], "TimeInfo": info}, classname="timeseries")
+        save_to_mat(path, {"speed": series, "bench": timetable, "t": seconds}, version=version)
 
 
 def _joint_states(store: Any, k: int, delay: int) -> Any:

@@ -1,4 +1,4 @@
-"""MATLAB files of version 7.3 and other HDF5 files are read: arrays, structures, cells, but no objects."""
+"""MATLAB files and other HDF5 files are read: arrays, structures, cells, tables and timeseries."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hframe_gym.errors import InputError
 from hframe_gym.machine import BUILTIN_MACHINES
 from hframe_gym.recordings import ImportSettings, MappingOptions, import_logs, load_recordings
 from hframe_gym.recordings.logs.log_files import open_logs
-from tests.log_samples import write_matlab
+from tests.log_samples import write_matlab, write_matlab_objects
 
 COUNT = 50
 TIME = np.arange(COUNT) * 1e-3
@@ -58,9 +58,35 @@ def test_another_hdf5_file_keeps_its_axes(tmp_path: Path) -> None:
     np.testing.assert_array_equal(log.read(log.columns)[0][1], POSITION)
 
 
-def test_objects_alone_are_refused_with_advice(tmp_path: Path) -> None:
+@pytest.mark.parametrize("version", ["v7", "v7.3"])
+def test_tables_and_timeseries_are_columns(tmp_path: Path, version: str) -> None:
+    write_matlab_objects(tmp_path / "log.mat", version, 0.5 + TIME, POSITION)
+    (log,) = open_logs(tmp_path / "log.mat")
+    columns = dict(zip([c.header for c in log.columns], log.read(log.columns)[0], strict=True))
+    assert {name.removesuffix(".1") for name in columns} == {
+        "speed.Time",
+        "speed.Data",
+        "bench.Time",
+        "bench.x",
+        "t",
+    }
+    np.testing.assert_allclose(columns["speed.Time"], 0.5 + TIME)
+    np.testing.assert_allclose(columns["bench.Time"], TIME, atol=1e-9)
+    np.testing.assert_array_equal(columns["bench.x"], POSITION)
+    np.testing.assert_array_equal(columns["speed.Data"], POSITION)
+
+
+def test_objects_need_an_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_matlab(tmp_path / "log.mat")
-    with pytest.raises(InputError, match=r"log.mat: has no arrays of numbers; .*timetables and timeseries"):
+    with pytest.raises(
+        InputError, match=r"log.mat: has no arrays of numbers, tables or timeseries; save plain"
+    ):
+        open_logs(tmp_path / "log.mat")
+    find_spec = importlib.util.find_spec
+    monkeypatch.setattr(
+        importlib.util, "find_spec", lambda name: None if name == "matio" else find_spec(name)
+    )
+    with pytest.raises(InputError, match=r"log.mat: .*timeseries needs pip install 'hframe_gym\[matlab\]'"):
         open_logs(tmp_path / "log.mat")
 
 

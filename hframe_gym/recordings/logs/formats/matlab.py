@@ -1,6 +1,7 @@
 """MATLAB and HDF5 files; columns are their vectors and the columns of their matrices, also in structs.
 
-MATLAB files of version 7.3 are HDF5 files, which need h5py (extra `hdf5`).
+MATLAB files of version 7.3 are HDF5 files, which need h5py (extra `hdf5`); tables and timeseries need mat-io (extra
+`matlab`).
 """
 
 from __future__ import annotations
@@ -61,11 +62,9 @@ def _open_mat(path: Path) -> Log:
     kind = "an HDF5 file" if is_hdf5 else "a MATLAB file"
     vectors = _mat_vectors(path, kind)
     if not vectors:
-        advice = (
-            "save plain arrays or a struct of arrays; tables, timetables and timeseries are readable only in "
-            "MATLAB"
-        )
-        raise InputError(f"{path}: has no arrays of numbers; {advice}")
+        advice = "save plain arrays, a struct of arrays or, as version 7, timeseries: save('log.mat', 'u', 'x', '-v7')"
+        require_extra(path, "tables, timetables and timeseries", "matlab", ["matio"], advice)
+        raise InputError(f"{path}: has no arrays of numbers, tables or timeseries; {advice}")
     kinds = ["number"] * len(vectors)
     columns = tuple(
         LogColumn(column.header, column.name, column.unit, column.kind, len(vector))

@@ -6,6 +6,7 @@ LIMIT is the largest accepted size of the arrays in an HDF5 file, bytes. The pro
 that it starts quickly. It ends with exit code 2 and one line on standard error if the file cannot be read.
 """
 
+import importlib.util
 import sys
 from collections.abc import Iterator
 from typing import Any
@@ -14,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 _DEEPEST = 32  # structures in structures
+# Names under which SciPy and HDF5 return what MATLAB's objects consist of.
+_OBJECTS = {"__function_workspace__", "#subsystem#"}
 
 
 def vectors(name: str, value: Any) -> Iterator[tuple[str, NDArray[np.float64]]]:
@@ -44,6 +47,49 @@ def vectors(name: str, value: Any) -> Iterator[tuple[str, NDArray[np.float64]]]:
         elif value.ndim == 2 and value.size:
             for number, column in enumerate(value.T if value.shape[0] > value.shape[1] else value, start=1):
                 yield f"{name}.{number}", column.astype(float)
+
+
+def objects(path: str) -> dict[str, Any]:
+    """Read the tables, timetables and timeseries of a MATLAB file, which Simulink writes by default.
+
+    Args:
+        path: File to read, of any version.
+
+    Returns:
+        Dictionaries by name of the variable, with the properties as MATLAB names them: columns of a table; Time, s, and
+        Data of a timeseries. Other objects are left out; all of them without the package mat-io, or if it does not
+        understand one, such as a stream of Simulink.
+    """
+    if importlib.util.find_spec("matio") is None:
+        return {}
+    from matio import load_from_mat
+
+    try:
+        content = load_from_mat(path)
+    except Exception:  # it raises many types; the arrays beside the objects are read in any case
+        return {}
+    found = {}
+    for name, value in content.items():
+        if hasattr(value, "columns"):  # a table is a data frame, of a timetable with times as its index
+            columns = {str(key): np.asarray(value[key]) for key in value.columns}
+            if value.index.dtype.kind in "mM":
+                since = np.asarray(value.index) - np.asarray(value.index)[0]
+                columns = {"Time": since / np.timedelta64(1, "s"), **columns}
+            found[name] = columns
+        elif getattr(value, "classname", "") == "timeseries":
+            found[name] = _timeseries(value.properties)
+    return found
+
+
+def _timeseries(properties: dict[str, Any]) -> dict[str, Any]:
+    """Return Time and Data of a timeseries; equal steps have a start and an increment in place of times."""
+    info = properties["TimeInfo"].properties
+    times = np.ravel(info["Time_"])
+    if not times.size:
+        count = int(np.ravel(info["Length"])[0])
+        times = np.ravel(info["Start_"])[0] + np.ravel(info["Increment_"])[0] * np.arange(count)
+    data = np.squeeze(properties["Data_"])
+    return {"Time": times, "Data": data if data.shape[:1] == times.shape else data.T}
 
 
 def hdf5_content(path: str, limit: int) -> dict[str, Any]:
@@ -100,7 +146,8 @@ def hdf5_content(path: str, limit: int) -> dict[str, Any]:
         return np.squeeze(values.T if kind else values)  # MATLAB stores arrays column by column
 
     with h5py.File(path, "r") as file:
-        return {name: convert(member, 0) for name, member in file.items() if not name.startswith("#")}
+        variables = {name: convert(member, 0) for name, member in file.items() if not name.startswith("#")}
+        return variables | dict.fromkeys(_OBJECTS & file.keys())
 
 
 def main() -> None:
@@ -118,6 +165,8 @@ def main() -> None:
             from scipy import io
 
             content = io.loadmat(source, simplify_cells=True)
+        if _OBJECTS & content.keys():
+            content |= objects(source)
     except Exception as error:  # the readers raise many types for damaged files
         print(" ".join(str(error).split()), file=sys.stderr)
         sys.exit(2)
