@@ -58,6 +58,20 @@ def test_links_and_paths_exist(page: Path) -> None:
     assert missing == []
 
 
+def test_the_start_page_leads_to_the_same_pages_as_the_readme() -> None:
+    readme, start = (
+        [
+            line
+            for line in (ROOT / name).read_text("utf-8").splitlines()
+            if line.startswith("| ") and "](" in line
+        ]
+        for name in ("README.md", "docs/index.md")
+    )
+    assert [line.replace("](docs/", "](") for line in readme] == [
+        line.replace("](../", "](") for line in start
+    ]
+
+
 @pytest.mark.parametrize("page", SITE, ids=name_of)
 def test_every_block_has_a_language(page: Path) -> None:
     """A block without a language would not be executed; one that is not executed says why in its first line."""
