@@ -158,6 +158,8 @@ class Registry(Generic[T]):
         Raises:
             InputError: If the module cannot be imported or the name is not registered; the message lists all names.
         """
+        if name in self._parts:
+            return self._parts[name]
         module, _, key = name.rpartition(":") if names_module(name) else ("", "", name)
         if module:
             try:

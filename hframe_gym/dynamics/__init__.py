@@ -5,6 +5,15 @@ from .codegen.blocks import in_blocks
 from .codegen.kernel import Kernel, kernel_for, kernel_source_text
 from .codegen.machine_code import LANES
 from .derivatives import DifferentiableMotion, Friction, Gradients, Motions
+from .motion_forces import (
+    belt_forces,
+    belt_states,
+    delayed_voltages,
+    effect_forces,
+    effect_states,
+    net_forces,
+    sensor_readings,
+)
 from .physics.belts import BeltState
 from .physics.effect_instances import instances_with_state
 from .physics.equations import Equations, ForceBalance
@@ -15,15 +24,6 @@ from .physics.linearization import (
     mode_frequencies,
     resolved_step,
     stiffness_matrix,
-)
-from .physics.motion_forces import (
-    belt_forces,
-    belt_states,
-    delayed_voltages,
-    effect_forces,
-    effect_states,
-    net_forces,
-    sensor_readings,
 )
 from .physics.parameterized_machine import MotionPoint
 from .simulation import NotFiniteError, in_parallel, rollout, simulate, simulate_batch

@@ -129,12 +129,13 @@ def simulate_batch(
     parameters = parameter_batch(machine) if parameters is None else parameters
     # The compiled functions work in belt travel: position * radius.
     count, radii = len(machine.coordinates), machine.travel_per_unit
-    start = _with_effect_states(machine, np.atleast_2d(rest_state(machine) if start is None else start))
-    start[:, : 2 * count] *= np.tile(radii, 2)
     kernel = kernel_for(machine, forced=extra_force is not None)
-    start = np.pad(
-        start, ((0, 0), (0, kernel.states - 1 - start.shape[1]))
-    )  # accelerations and currents, if measured
+    given = np.atleast_2d(rest_state(machine) if start is None else start)
+    start = np.zeros(
+        (len(given), kernel.states - 1)
+    )  # also of effects; accelerations and currents, if measured
+    start[:, : given.shape[1]] = given
+    start[:, : 2 * count] *= np.tile(radii, 2)
     inputs, force, observed = _series(inputs), _series(extra_force), _series(measured)
     batch = max(map(len, (inputs, parameters, start, force, observed)))
     parameters = _rows(parameters, batch)
@@ -150,12 +151,6 @@ def simulate_batch(
     if states:
         out /= np.tile(radii, 2)
     return Motion(out[..., :count], out[..., count:], outputs)
-
-
-def _with_effect_states(machine: Machine, start: Array) -> Array:
-    """Return a copy of states with those of the effects, zero by default, (B, 2 * coordinates + effect states)."""
-    missing = 2 * len(machine.coordinates) + len(instances_with_state(machine)) - start.shape[1]
-    return np.pad(start, ((0, 0), (0, missing)))
 
 
 def _series(values: Array | None) -> Array:

@@ -261,6 +261,10 @@ class Effect:
                         f"({', '.join(parameters)}) nor a quantity of {hook} ({', '.join(quantities) or 'none'})"
                     )
 
+    def __hash__(self) -> int:
+        """Return a hash of the name; those of all formulas would take longer than to find the code of a machine."""
+        return hash(self.name)
+
     def parameter(self, name: str) -> EffectParameter:
         """Return the declaration of one parameter of the effect: unit, bounds, role.
 

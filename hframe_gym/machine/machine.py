@@ -158,6 +158,14 @@ class Machine:
         return np.array(rows).reshape(len(self.belts), len(self.coordinates))
 
     @cached_property
+    def highest_frequency(self) -> float:
+        """Highest natural frequency of the masses on the belts at position 0, without effects, rad/s."""
+        # Squared frequencies are the squared singular values of diag(k)^(1/2) G M^(-1/2).
+        mass = np.array([c.mass for c in self.coordinates])
+        stiffness = np.array([b.EA / b.rest_length for b in self.belts])
+        return float(np.linalg.norm(np.sqrt(stiffness)[:, None] * self.belt_matrix / np.sqrt(mass), 2))
+
+    @cached_property
     def sensor_matrix(self) -> Array:
         """Readings per unit of each coordinate, without products of coordinates, SI, shape (sensors, coordinates).
 

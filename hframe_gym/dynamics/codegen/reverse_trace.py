@@ -122,9 +122,9 @@ class ReverseTrace(Trace):
         self.loaded[array, int(row)] = value
         return value
 
-    def store(self, array: str, row: int, value: Any) -> None:
+    def store(self, array: str, row: int | str, value: Any) -> None:
         """Keep a result of the function, whose derivatives `adjoints` computes."""
-        self.stored[array, row] = self.expression(value)
+        self.stored[array, int(row)] = self.expression(value)
 
     def operations(self, formula: str, *operands: Any) -> tuple[Expression, ...]:
         """Return the results of a formula of friction with several results, as operations of this trace.

@@ -152,13 +152,7 @@ def _resolving_step(machine: Machine, longest_step: float) -> float:
         return longest_step if longest_step * fastest <= _MAX_PHASE else _MAX_PHASE / fastest
     if not machine.belts:
         return longest_step
-    # Called before every simulation, hence without the complex step. Squared natural frequencies are the eigenvalues
-    # of R' R, the squared singular values of R = diag(k)^(1/2) G M^(-1/2).
-    mass = np.array([c.mass for c in machine.coordinates])
-    stiffness = np.array([b.EA / b.rest_length for b in machine.belts])
-    highest = float(
-        np.linalg.norm(np.sqrt(stiffness)[:, None] * machine.belt_matrix / np.sqrt(mass), 2)
-    )  # rad/s
+    highest = machine.highest_frequency  # called before every simulation, hence without the complex step
     return longest_step if longest_step * highest <= _MAX_PHASE else _MAX_PHASE / highest
 
 

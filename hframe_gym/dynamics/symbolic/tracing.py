@@ -155,7 +155,7 @@ class Trace:
         self._block.append(Statement(f"{name} = {{}}", (value,), (changed,)))
         return changed
 
-    def store(self, array: str, row: int, value: Any) -> None:
+    def store(self, array: str, row: int | str, value: Any) -> None:
         """Append a statement that writes an expression or a finite number to a row of an array argument."""
         value = self.expression(value)
         self._block.append(Statement(f"store({array}, {row}, {{}})", (value,)))

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import signal
 from scipy.linalg import null_space
 
-from ...dynamics.physics.motion_forces import law_torques
+from ...dynamics.motion_forces import law_torques
 from ...machine import Machine
 from ...machine.motion import pulley_names, rigid_motions
 from ...preparation.dataset import Dataset, PreparedRecording

@@ -308,8 +308,7 @@ def prediction_error(
     """
     measured = np.isfinite(run.outputs)
     error: Array = run.outputs - measurements
-    if not measured.all():
-        error = np.where(measured, error, 0.0)
+    error[:, ~measured] = 0.0
     max_mean = (
         max_fitted_zero_means(data.behind_belts, data.quantum, run.initial.measured_at_rest)
         if fitted
@@ -317,7 +316,9 @@ def prediction_error(
     )
     weights = run.weights if fitted else measured
     weights = weights if data.has_zero is None else weights * data.has_zero
-    error -= sensor_zero_error(error, weights, run.initial.resting_rows, max_mean, data.quantum)
+    zero = sensor_zero_error(error, weights, run.initial.resting_rows, max_mean, data.quantum)
+    # Repeated for all rows: a third of the time of broadcasting rows of few sensors.
+    error -= np.tile(zero, (1, error.shape[1], 1))
     return error
 
 
@@ -350,10 +351,11 @@ def residuals(
     with np.errstate(
         over="ignore", invalid="ignore"
     ):  # parameters that make a machine diverge cost infinitely much
-        error = prediction_error(run, data, measurements, fitted=fitted) * scales
+        error = prediction_error(run, data, measurements, fitted=fitted)
+        error *= scales
     batch, rows, sensors = error.shape
     if rows_per_block > 1:
         blocks = rows // rows_per_block
         error = error[:, : blocks * rows_per_block].reshape(batch, blocks, rows_per_block, sensors)
-        error = error.sum(axis=2) / np.sqrt(rows_per_block)
+        error = np.einsum("bkrs->bks", error) / np.sqrt(rows_per_block)  # a fifth of the time of `sum`
     return error.reshape(batch, -1)

@@ -15,14 +15,14 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...dynamics import Equations, net_forces
-from ...dynamics.physics.motion_forces import ohmic_currents
+from ...dynamics.motion_forces import ohmic_currents
 from ...dynamics.simulation import Motion, parameter_batch
 from ...effects import EFFECTS, effect_sites
 from ...effects.smooth_table import TABLE_FAMILY
@@ -38,7 +38,7 @@ from .candidates import Candidate
 
 Array = NDArray[np.float64]
 
-_COLUMNS_AT_ONCE = 64  # bounds the memory of long recordings
+_COLUMNS_AT_ONCE = 64  # simulated together: their forces stay in the processor's cache, and memory is bounded
 _MIMICKED = 1e-6  # fraction of a column's square below which the machine's parameters explain it entirely
 _RIDGE = 1e-9
 _SMALL_FRACTION = 1e-4  # fraction of the typical amplitude at which a nonlinear effect is linearized
@@ -97,9 +97,7 @@ def screen(fit: Fit, candidates: Sequence[Candidate], data: Dataset) -> list[Sco
 
     def responses(run: PreparedRecording, motion: Motion) -> Array:
         may_go_on()
-        return _perturbation_responses(
-            model, run, candidate_perturbations(fit.machine, candidates, run, motion)
-        )
+        return _responses(model, candidates, run, motion)
 
     equations = model.linearize(fit.theta, responses).normal_equations
     # The ridge keeps the elimination possible where parameters have the same influence on the measurements.
@@ -154,9 +152,7 @@ def resemblances(
 
     def responses(run: PreparedRecording, motion: Motion) -> Array:
         may_go_on()
-        return _perturbation_responses(
-            model, run, candidate_perturbations(fit.machine, compared, run, motion)
-        )
+        return _responses(model, compared, run, motion)
 
     equations = model.linearize(fit.theta, responses).normal_equations
     ridge = np.diag(_RIDGE * np.diag(equations.information))
@@ -201,12 +197,14 @@ def candidate_perturbations(
     bare = dataclasses.replace(machine, effects=(), ties={})
     record = (run.time_s, motion.positions[0], motion.velocities[0], run.inputs)
     bare_force = net_forces(bare, *record)
-    forces, measurements = [], []
+    count, first = sum(len(c.columns) for c in candidates), 0
+    force = np.zeros((count, *motion.positions.shape[1:]))
+    measurement = np.zeros((count, *motion.readings.shape[1:]))
     for _, group in itertools.groupby(candidates, key=lambda c: c.label):
         members = list(group)
         effect, columns = members[0].effect, [column for c in members for column in c.columns]
-        force = np.zeros((len(columns), *motion.positions.shape[1:]))
-        measurement = np.zeros((len(columns), *motion.readings.shape[1:]))
+        rows = slice(first, first + len(columns))
+        first += len(columns)
         # A small amplitude keeps the response linear: a Coulomb level cannot become negative, and the force of an
         # eccentric pulley contains the product of belt travel and lever arm.
         fraction = _SMALL_FRACTION if effect.coulomb or effect.belt_travel else 1.0
@@ -216,13 +214,18 @@ def candidate_perturbations(
             name: np.array([[scale * column[name]] for column in columns]) for name, scale in scales.items()
         }
         perturbed = dataclasses.replace(bare, effects=(AppliedEffect(effect, members[0].site, parameters),))
-        if effect.measurement or effect.measurement_delay:
-            measurement += _measurement_change(perturbed, run, motion)
+        if _acts_on_sensors(effect):
+            measurement[rows] = _measurement_change(perturbed, run, motion)
         else:
-            force += (net_forces(perturbed, *record) - bare_force) / fraction
-        forces.append(force)
-        measurements.append(measurement)
-    return Perturbation(np.concatenate(forces), np.concatenate(measurements))
+            np.subtract(net_forces(perturbed, *record), bare_force, out=force[rows])
+            if fraction != 1.0:
+                force[rows] /= fraction
+    return Perturbation(force, measurement)
+
+
+def _acts_on_sensors(effect: Effect) -> bool:
+    """Return whether an effect changes measurements instead of forces."""
+    return bool(effect.measurement or effect.measurement_delay)
 
 
 def _sensed(machine: Machine, time_s: Array, motion: Motion, inputs: Array) -> list[Array]:
@@ -260,13 +263,13 @@ def _screening_model(fit: Fit, data: Dataset) -> ResidualModel:
     )
 
 
-def _perturbation_responses(
-    model: ResidualModel, run: PreparedRecording, perturbation: Perturbation
+def _responses(
+    model: ResidualModel, candidates: Sequence[Candidate], run: PreparedRecording, motion: Motion
 ) -> Array:
-    """Return the derivatives of a run's residual with respect to perturbations, shape (columns, rows)."""
+    """Return the derivatives of a run's residual by the columns of candidates, shape (columns, rows)."""
 
     def residual(force: Array, measurement: Array | None) -> Array:
-        motion = predict(
+        moved = predict(
             model.machine,
             run,
             model.bandwidth,
@@ -275,17 +278,29 @@ def _perturbation_responses(
             extra_measurement=measurement,
             longest_step=model.longest_step,
         )
-        return model.residuals(run, motion.readings)
+        return model.residuals(run, moved.readings)
 
     # The unperturbed residual comes from the same kernel, the one that takes extra forces.
-    unperturbed = residual(np.zeros_like(perturbation.force[:1]), None)
+    unperturbed = residual(np.zeros((1, *motion.positions.shape[1:])), None)
     columns = []
-    for first in range(0, len(perturbation.force), _COLUMNS_AT_ONCE):
-        force, measurement = (
-            DIFFERENCE_STEP * part[first : first + _COLUMNS_AT_ONCE] for part in perturbation
-        )
-        columns.append((residual(force, measurement) - unperturbed) / DIFFERENCE_STEP)
+    for part in _parts(candidates):
+        force, measurement = candidate_perturbations(model.machine, part, run, motion)
+        of_sensors = any(_acts_on_sensors(c.effect) for c in part)
+        changed = residual(DIFFERENCE_STEP * force, DIFFERENCE_STEP * measurement if of_sensors else None)
+        columns.append((changed - unperturbed) / DIFFERENCE_STEP)
     return np.vstack(columns)
+
+
+def _parts(candidates: Sequence[Candidate]) -> Iterator[list[Candidate]]:
+    """Divide candidates, in their order, into parts of few columns; those with the same label stay together."""
+    part: list[Candidate] = []
+    for _, group in itertools.groupby(candidates, key=lambda c: c.label):
+        members = list(group)
+        if part and sum(len(c.columns) for c in (*part, *members)) > _COLUMNS_AT_ONCE:
+            yield part
+            part = []
+        part += members
+    yield part
 
 
 def _score(

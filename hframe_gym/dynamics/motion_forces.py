@@ -12,11 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...arrays import Array, Inputs, Times
-from ...machine import AppliedEffect, Effect, Machine, argument_names
-from .belts import BeltState
-from .equations import Equations
-from .parameterized_machine import MotionPoint
+from ..arrays import Array, Inputs, Times
+from ..machine import AppliedEffect, Effect, Machine, argument_names
+from .codegen.state_steps import follow_state
+from .physics.belts import BeltState
+from .physics.equations import Equations
+from .physics.parameterized_machine import MotionPoint
 
 # The flow of a bristle state over a distance without turning point is exact, so few steps suffice.
 _BRISTLE_STATE_STRIDE = 5
@@ -256,21 +257,7 @@ def _integrated(
 ) -> Array:
     """Return the state of an effect at every sample, stepped from row to row of `rows` with `_step_arguments`."""
     function: Any = definition.next_state
-    shape = np.broadcast_shapes(
-        (1,), *((*values.shape[:-1], 1) for values in steps.values() if values.ndim > 1)
-    )
-    # Floats are faster than arrays of one element: (rows,) gives floats, (variants, rows) gives (variants, 1) each.
-    columns = [
-        values.tolist() if values.ndim == 1 else list(np.moveaxis(values, -1, 0)[..., None])
-        for values in steps.values()
-    ]
-    state: Any = 0.0 if shape == (1,) else np.zeros(shape)
-    visited = []
-    for values in zip(*columns, strict=True):
-        visited.append(state)
-        state = function(z=state, **dict(zip(steps, values, strict=True)))
-    # Shape (rows,) or (variants, rows).
-    states = np.array(visited) if shape == (1,) else np.concatenate(visited, axis=-1)
+    states = follow_state(function, steps)  # (rows,) or (variants, rows)
     if definition.current:  # the mean over each step by Simpson's rule
         half_steps = {
             name: 0.5 * values if name in ("dt", "dq") else values for name, values in steps.items()
@@ -290,10 +277,7 @@ def _step_arguments(
     time_s: Array,
     rows: NDArray[np.intp],
 ) -> dict[str, Array]:
-    """Return all arguments of effect k's `next_state` but its state, per step: arrays (rows,) or (variants, rows).
-
-    The loop over the steps is sequential, so everything that it needs is looked up before it.
-    """
+    """Return all arguments of effect k's `next_state` but its state, per step: arrays (rows,) or (variants, rows)."""
     effect, i = equations.instances[k].effect, equations.instances[k].state_coordinate
     durations = np.diff(time_s[rows])
     series: dict[str, Any] = {"dt": np.append(durations, durations[-1] if len(durations) else 0.0)}
