@@ -331,7 +331,7 @@ def split_unit(header: str) -> tuple[str, str]:
         name: Name without the unit.
         unit: Unit in its usual spelling, such as "mm" or "rpm"; "" if the header has none. Any text in brackets is a
             unit. Without brackets, only known units are recognized, and those of one letter, such as "A", only if the
-            name agrees: "current_A" and "i1_A" have a unit, "phase_A" has none.
+            name agrees: "current_A" and "i1_A" have a unit, "phase_A" has none. The word rpm is a unit wherever it is.
     """
     plain = header.strip()
     if len(plain) > _LONGEST_HEADER:
@@ -348,6 +348,8 @@ def split_unit(header: str) -> tuple[str, str]:
     match = _AFTER_BLANK.fullmatch(plain) or _SUFFIX.fullmatch(plain)
     if match and _is_ending(match["name"], match["unit"]):
         return re.sub(r"\s+in$", "", match["name"]).strip(), normalize_unit(match["unit"])
+    if "rpm" in _tokens(plain):  # a unit wherever it stands: "RPM", "rpm1", "motorRPM_left"
+        return plain, "rpm"
     return plain, ""
 
 

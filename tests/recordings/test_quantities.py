@@ -34,6 +34,8 @@ from hframe_gym.recordings.quantities import QUANTITIES, meaning_of, normalize_u
         ("M [N m]", "M", "Nm"),
         ("temp_C", "temp", "degC"),
         ("TIME_S", "TIME", "s"),
+        ("rpm", "rpm", "rpm"),  # a name that is a unit
+        ("motorRPM_left", "motorRPM_left", "rpm"),
         ("phase_A", "phase_A", ""),  # a letter that numbers a phase
         ("u_m", "u_m", ""),  # the voltage of a motor
         ("v_in", "v_in", ""),  # the voltage at an input
