@@ -151,14 +151,7 @@ class Agent(Controller):
             A clause about the agent, for example "was trained on a machine with 2 axes, 2 drives, but 'stage' has
             1 axis, 1 drive"; None if the machine of the training has the same numbers.
         """
-        counts, trained = _part_counts(machine), _part_counts(self.machine)
-        differing = [part for part in counts if counts[part] != trained[part]]
-        if not differing:
-            return None
-        present, former = (
-            ", ".join(_counted(c[part], part) for part in differing) for c in (counts, trained)
-        )
-        return f"was trained on a machine with {former}, but {machine.name!r} has {present}"
+        return structural_mismatch(self.machine, machine)
 
     def mismatch(self, machine: Machine, period: float, sensors: SensorsLike = "state") -> str | None:
         """Return one line if an evaluation differs from the agent's training in machine, control period or sensors.
@@ -210,22 +203,35 @@ class Agent(Controller):
             write_text(Path(folder) / "agent.json", json.dumps(contents, indent=1) + "\n")
 
     @classmethod
-    def load(cls, folder: str | Path) -> Agent:
+    def load(cls, folder: str | Path, machine: Machine | None = None) -> Agent:
         """Load an agent, ready to run, from a folder that `save` or the command `hframe train` wrote.
 
+        Args:
+            machine: Machine for which the agent's feedback laws, base controller, estimator of parameters and features
+                are designed, such as an identified one; the weights stay as they are. Default: that of the training.
+
         Raises:
-            InputError: If a file is missing, damaged or of another version.
+            InputError: If a file is missing, damaged or of another version, or the machine has other numbers of axes,
+                observed coordinates or drives than that of the training, or lacks a transfer of the agent.
             ImportError: If the extra `agents` is not installed.
         """
         path = Path(folder)
         complete_commit(path)
         card = read_agent_json(path)
-        machine = load_machine(path / "machine.json")
-        mapping = residual_action(machine, card["settings"]["actuation"], card["period"])
-        space = observation_space(machine, card["previews"])
-        expected = feature_parameters(machine)
+        trained_on = load_machine(path / "machine.json")
+        expected = feature_parameters(trained_on)
         if any(_shape(card["features"][key]) != _shape(expected[key]) for key in ("radii", "rest")):
             raise InputError(f"{path / 'agent.json'}: features do not fit the machine in machine.json")
+        if machine is None:
+            machine = trained_on
+        else:
+            obstacle = structural_mismatch(trained_on, machine)
+            if obstacle:
+                raise InputError(f"{path}: the agent {obstacle}")
+            features = feature_parameters(machine, card["period"], **card["settings"].get("features", {}))
+            card = {**card, "machine": machine.name, "features": features}
+        mapping = residual_action(machine, card["settings"]["actuation"], card["period"])
+        space = observation_space(machine, card["previews"])
         exploration = (
             {"use_sde": True} if card["settings"].get("algorithm", {}).get("use_sde") is True else {}
         )
@@ -276,6 +282,16 @@ def load_weights(policy: Any, folder: Path) -> None:
 def _shape(values: list[Any]) -> list[int]:
     """Return the length of a list and those of the lists in it."""
     return [len(values), *(len(row) for row in values if isinstance(row, list))]
+
+
+def structural_mismatch(trained_on: Machine, machine: Machine) -> str | None:
+    """Describe why an agent cannot run on a machine; see `Agent.structural_mismatch`."""
+    counts, trained = _part_counts(machine), _part_counts(trained_on)
+    differing = [part for part in counts if counts[part] != trained[part]]
+    if not differing:
+        return None
+    present, former = (", ".join(_counted(c[part], part) for part in differing) for c in (counts, trained))
+    return f"was trained on a machine with {former}, but {machine.name!r} has {present}"
 
 
 def _part_counts(machine: Machine) -> dict[str, int]:

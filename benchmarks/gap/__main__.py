@@ -39,8 +39,8 @@ def run(name: str, seed: int, indices: list[int], out: Path, cache: Path = CACHE
         Path of the file.
     """
     make = get_entry(name)
-    safe = "".join(c if c.isalnum() or c in "-_." else "-" for c in name)
-    path = out / f"{safe}.json"
+    name = make.name or name
+    path = out / f"{''.join(c if c.isalnum() or c in '-_.' else '-' for c in name)}.json"
     content = results.new_content(name, make, seed)
     if path.is_file():
         before = results.read(path)

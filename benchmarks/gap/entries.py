@@ -7,12 +7,14 @@ command line.
 | name | track | what controls the plant |
 |---|---|---|
 | `pid`, `predictive`, `adaptive-pid`, `textbook-pid` | zero-shot | designed from the declared machine |
-| `ppo`, `sac`, `apg`, `apg_wide`, `residual` | zero-shot | shipped agents, trained with default randomization |
-| `pid-refitted`, ... | identified | designed from the machine whose own parameters are refitted |
-| `pid-corrected`, ... | identified | designed from the machine with the effects that identification found |
-| `pid-posterior`, ... | identified | the same, and the state estimator begins with the posterior of the parameters |
-| `pid-online`, ... | online | parameters estimated in practice episodes are kept from one to the next |
-| `ppo-identified`, `apg-identified`, `residual-identified` | identified | agents, trained on the corrected machine |
+| `ppo_mix`, `apg_mix`, `residual`, `sac`, ... | zero-shot | shipped agents, with laws of the declared machine |
+| `NAME-refitted` | identified | NAME, designed from the machine whose own parameters are refitted |
+| `NAME-corrected` | identified | NAME, designed from the machine with the effects that identification found |
+| `NAME-posterior` | identified | the same; the state estimator begins with the posterior of the parameters |
+| `NAME-online` | online | parameters that NAME's estimator finds in practice are kept from one episode to the next |
+| `ppo-trained`, `apg-trained`, `residual-trained` | identified | agents, trained further on the corrected machine |
+
+The weights of an agent NAME are those of seed 0; `NAME-seed1-corrected` and the like are those of other seeds.
 """
 
 from __future__ import annotations
@@ -22,11 +24,13 @@ import hashlib
 import importlib
 import inspect
 import json
+import re
 from abc import ABC, abstractmethod
 from pathlib import Path
 from typing import ClassVar, Literal
 
 import numpy as np
+from typing_extensions import override
 
 from benchmarks.gap.control_loop import PERIOD_S, GapEpisodes
 from benchmarks.gap.machines import Identified, identified
@@ -50,9 +54,11 @@ class GapEntry(ABC):
         name: Name in results.
         track: "zero-shot" (no recording), "identified" (recordings) or "online" (practice episodes).
         knowledge: What it uses of the declared machine, a few words.
+        learned: Whether a learned policy or model controls the plant.
     """
 
     name: str = ""
+    learned: bool = False
     track: Trackname = "zero-shot"
     knowledge: str = "not stated"
 
@@ -170,50 +176,109 @@ def _limited(covariance: Array, prior: Array) -> Array:
     return np.asarray(covariance * np.outer(scale, scale))
 
 
-class DeclaredController(GapEntry):
-    """A registered controller that is designed from the declared machine."""
+class DesignedEntry(GapEntry):
+    """A controller that is designed from a machine and runs on the estimates of a state estimator of this machine.
+
+    `RegisteredController` and `ShippedAgent` say how it is designed; `DeclaredMachine`, `IdentifiedMachine` and
+    `OnlineMachine` say which machine it is. An entry is one of each.
+
+    Attributes:
+        machine: Machine of the controller and of the state estimator.
+        covariance: Covariance of the logarithms of the parameters with which the estimator begins; None: the default.
+    """
+
+    machine: Machine
+    covariance: Array | None = None
+
+    def design(self, task: Task) -> Controller:
+        """Return the controller of a task, which may need the full state."""
+        raise NotImplementedError
+
+    @override
+    def controller(self, task: Task) -> Controller:
+        return from_measurements(self.design(task), self.machine, self.covariance)
+
+
+class RegisteredController(DesignedEntry):
+    """A registered controller."""
 
     registered: ClassVar[str] = ""
-    knowledge = "declared machine"
 
     @classmethod
+    @override
     def files(cls) -> list[Path]:
-        """Return the source of the registered controller."""
         return [Path(inspect.getfile(CONTROLLERS.get(cls.registered)))]
 
+    @override
+    def design(self, task: Task) -> Controller:
+        return CONTROLLERS.get(self.registered)(self.machine, PERIOD_S)
+
+
+class ShippedAgent(DesignedEntry):
+    """An agent that comes with the package: its weights, with the control laws of the machine.
+
+    Attributes:
+        agents: Names of the shipped agents by task.
+    """
+
+    learned = True
+    agents: ClassVar[dict[str, str]] = {}
+
+    @classmethod
+    @override
+    def files(cls) -> list[Path]:
+        from hframe_gym.agents import shipped_agent_folder
+
+        folders = [shipped_agent_folder(name, task) for task, name in cls.agents.items()]
+        return [folder / file for folder in folders for file in ("agent.json", "policy.safetensors")]
+
+    @override
+    def design(self, task: Task) -> Controller:
+        from hframe_gym.agents import Agent, shipped_agent_folder
+
+        return Agent.load(shipped_agent_folder(self.agents[task.name], task.name), self.machine)
+
+
+class DeclaredMachine(DesignedEntry):
+    """The machine is the declared one."""
+
+    knowledge = "declared machine"
+
+    @override
     def prepare(self, declared: Machine, recorder: Recorder, folder: Path) -> None:
-        """Keep the declared machine."""
-        self.machine, self.covariance = declared, None
-
-    def controller(self, task: Task) -> Controller:
-        """Return the controller with a state estimator."""
-        controller = CONTROLLERS.get(self.registered)(self.machine, PERIOD_S)
-        return from_measurements(controller, self.machine, self.covariance)
+        self.machine = declared
 
 
-class IdentifiedController(DeclaredController):
-    """A registered controller that is designed from an identified machine."""
+class IdentifiedMachine(DesignedEntry):
+    """The machine is identified from the standard session.
+
+    Attributes:
+        model: "refitted" (own parameters alone), "corrected" (with effects) or "posterior" (with effects, and the
+            estimator begins with the posterior of the parameters).
+    """
 
     model: ClassVar[str] = "corrected"
     track: Trackname = "identified"
 
+    @override
     def prepare(self, declared: Machine, recorder: Recorder, folder: Path) -> None:
-        """Identify the plant from the standard session, or load it."""
         self.found = _standard(declared, recorder, folder)
         self.machine = self.found.refitted if self.model == "refitted" else self.found.corrected
         self.covariance = posterior_covariance(self.machine) if self.model == "posterior" else None
 
+    @override
     def key(self) -> str | None:
-        """Return a hash of controller, machine and covariance: without effects, refitted and corrected are the same."""
+        # Without effects, refitted and corrected are the same.
         machine = self.machine
         sensors = [[s.channel, s.noise, s.resolution, s.zero] for s in machine.sensors]
         covariance = None if self.covariance is None else self.covariance.tolist()
         effects = [effect.label for effect in machine.effects]
-        content = [self.registered, machine.parameters, effects, sensors, covariance]
+        design = self.name.removesuffix(f"-{self.model}")
+        content = [design, machine.parameters, effects, sensors, covariance]
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
+    @override
     def about(self) -> dict[str, object]:
-        """Return verdict, effects and processor time of the identification."""
         effects = list(self.found.found)
         return {
             "verdict": self.found.verdict,
@@ -223,8 +288,8 @@ class IdentifiedController(DeclaredController):
         }
 
 
-class OnlineController(DeclaredController):
-    """A registered controller whose model keeps the parameters that its state estimator finds in practice episodes.
+class OnlineMachine(DeclaredMachine):
+    """The machine is the declared one, with the parameters that the state estimator finds in practice episodes.
 
     After each episode the estimated ratios of the parameters become those of the model, and the estimator's covariance
     becomes its prior of the next episode, widened by the floor.
@@ -233,8 +298,8 @@ class OnlineController(DeclaredController):
     track: Trackname = "online"
     knowledge = "declared machine, estimates parameters"
 
+    @override
     def practice(self, episodes: GapEpisodes, controller: Controller) -> None:
-        """Take over the estimates at the end of the episode."""
         assert isinstance(controller, OutputFeedbackController)
         estimator = controller.estimator
         assert isinstance(estimator, StateEstimator)
@@ -249,31 +314,7 @@ class OnlineController(DeclaredController):
         self.covariance = _limited(after, estimator.augmented.covariance)
 
 
-class ShippedAgent(GapEntry):
-    """An agent that comes with the package, trained on the declared machine with default randomization."""
-
-    agent: ClassVar[str] = ""
-    knowledge = "trained on the declared machine, randomized"
-
-    @classmethod
-    def files(cls) -> list[Path]:
-        """Return the weights of the agents of both tasks."""
-        from hframe_gym.agents import shipped_agent_folder
-
-        return [shipped_agent_folder(cls.agent, task) / "policy.safetensors" for task in ("reach", "track")]
-
-    def prepare(self, declared: Machine, recorder: Recorder, folder: Path) -> None:
-        """Keep the declared machine, for the state estimator."""
-        self.machine = declared
-
-    def controller(self, task: Task) -> Controller:
-        """Return the agent of the task with a state estimator."""
-        from hframe_gym.agents import Agent, shipped_agent_folder
-
-        return from_measurements(Agent.load(shipped_agent_folder(self.agent, task.name)), self.machine)
-
-
-class TrainedAgent(GapEntry):
+class TrainedAgent(IdentifiedMachine):
     """An agent that is trained on the corrected machine of the plant, randomized over its posterior.
 
     Training continues from the shipped agents; the agents of a plant are kept in its folder.
@@ -285,31 +326,36 @@ class TrainedAgent(GapEntry):
 
     recipes: ClassVar[dict[str, tuple[str, str]]] = {}
     steps: ClassVar[int] = 100_000
-    track: Trackname = "identified"
-    knowledge = "trained on the corrected machine, posterior"
+    learned = True
+    knowledge = "corrected machine, trained on its posterior"
 
+    @override
     def prepare(self, declared: Machine, recorder: Recorder, folder: Path) -> None:
-        """Identify the plant, or load it."""
-        self.found, self.folder = _standard(declared, recorder, folder), folder
+        super().prepare(declared, recorder, folder)
+        self.folder = folder
 
-    def controller(self, task: Task) -> Controller:
-        """Train the agent of the task, or load it."""
+    @override
+    def design(self, task: Task) -> Controller:
         from hframe_gym.agents import Agent, load_recipe, train
 
-        machine, (name, start) = self.found.corrected, self.recipes[task.name]
-        recipe = load_recipe(name, task.name)
-        randomize = "identified" if machine.uncertainty is not None else "default"
+        recipe, start = self.recipes[task.name]
+        recipe = load_recipe(recipe, task.name)
+        randomize = "identified" if self.machine.uncertainty is not None else "default"
         environment = {**recipe.env, "randomize": randomize}
         recipe = dataclasses.replace(recipe, steps=self.steps, env=environment, start=start)
         out = self.folder / f"{self.name}-{task.name}-{self.steps}"
         if not (out / "done").is_file():
-            train(recipe, machine, seed=0, out=out, log=lambda line: None, force=True)
+            train(recipe, self.machine, seed=0, out=out, log=lambda line: None, force=True)
             (out / "done").touch()
-        return from_measurements(Agent.load(out), machine)
+        return Agent.load(out)
 
+    @override
+    def key(self) -> str | None:
+        return None
+
+    @override
     def about(self) -> dict[str, object]:
-        """Return the steps of each training."""
-        return {"training_steps": self.steps}
+        return {**super().about(), "training_steps": self.steps}
 
 
 def _standard(declared: Machine, recorder: Recorder, folder: Path) -> Identified:
@@ -317,7 +363,16 @@ def _standard(declared: Machine, recorder: Recorder, folder: Path) -> Identified
     return identified(lambda: standard_session(recorder), recorder.session, declared, folder / "standard")
 
 
-AGENTS = ("ppo", "sac", "apg", "apg_wide", "residual")  # shipped for both tasks
+# Names of the shipped agents of an entry, by task; where a task has none of this name, the nearest of its kind.
+AGENTS = {
+    "ppo": {"reach": "ppo", "track": "ppo"},
+    "ppo_mix": {"reach": "ppo_mix", "track": "residual"},
+    "sac": {"reach": "sac", "track": "sac"},
+    "apg": {"reach": "apg", "track": "apg"},
+    "apg_mix": {"reach": "apg_mix", "track": "apg_wide"},
+    "apg_wide": {"reach": "apg_wide", "track": "apg_wide"},
+    "residual": {"reach": "residual", "track": "residual"},
+}
 TRAINED = {  # recipe and shipped start of each task
     "ppo": {"reach": ("adapt", "ppo"), "track": ("ppo", "ppo")},
     "apg": {"reach": ("adapt_mix", "apg_mix"), "track": ("apg", "apg")},
@@ -325,11 +380,20 @@ TRAINED = {  # recipe and shipped start of each task
 }
 
 
+def family(name: str) -> str:
+    """Return the name of an entry without the seed of its agent, which results of several seeds share.
+
+    Args:
+        name: Name of an entry, for example "apg_mix-seed1-corrected".
+    """
+    return re.sub(r"-seed\d+", "", name)
+
+
 def entry_names() -> list[str]:
-    """Return the names of the entries of the repository."""
-    designed = [name for name in CONTROLLERS if not CONTROLLERS.get(name).set_points]
-    variants = [f"{name}-{model}" for name in designed for model in (*MODELS, "online")]
-    return [*designed, *variants, *AGENTS, *(f"{agent}-identified" for agent in TRAINED)]
+    """Return the names of the entries of the repository; NAME-seedN... is one of an agent with another seed than 0."""
+    designs = [name for name in CONTROLLERS if not CONTROLLERS.get(name).set_points] + list(AGENTS)
+    variants = [f"{name}-{model}" for name in designs for model in (*MODELS, "online")]
+    return [*designs, *variants, *(f"{agent}-trained" for agent in TRAINED)]
 
 
 def get_entry(name: str) -> type[GapEntry]:
@@ -354,24 +418,26 @@ def get_entry(name: str) -> type[GapEntry]:
             raise InputError(f"entry {name!r} is not a subclass of benchmarks.gap.entries.GapEntry")
         return found
     base, _, variant = name.rpartition("-")
-    if name in CONTROLLERS:
-        return _made(DeclaredController, name, registered=name)
-    if base in CONTROLLERS and variant in MODELS:
-        return _made(
-            IdentifiedController, name, registered=base, model=variant, knowledge=f"{variant} machine"
-        )
-    if base in CONTROLLERS and variant == "online":
-        return _made(OnlineController, name, registered=base)
-    if name in AGENTS:
-        return _made(ShippedAgent, name, agent=name)
-    if base in TRAINED and variant == "identified":
-        return _made(TrainedAgent, name, recipes=TRAINED[base])
+    if base in TRAINED and variant == "trained":
+        return _made(name, TrainedAgent, recipes=TRAINED[base])
+    if variant not in (*MODELS, "online"):
+        base, variant = name, "declared"
+    machine = {"declared": DeclaredMachine, "online": OnlineMachine}.get(variant, IdentifiedMachine)
+    settings = {"model": variant, "knowledge": f"{variant} machine"} if variant in MODELS else {}
+    if base in CONTROLLERS:
+        return _made(name, RegisteredController, machine, registered=base, **settings)
+    agent, _, seed = base.partition("-seed")
+    if agent in AGENTS and (seed.isdigit() or base == agent):
+        seed = seed or "0"
+        agents = {task: f"{shipped}-seed{seed}" for task, shipped in AGENTS[agent].items()}
+        name = f"{agent}-seed{seed}{name.removeprefix(base)}"  # every result states its seed
+        return _made(name, ShippedAgent, machine, agents=agents, **settings)
     raise InputError(
         f"entry {name!r} is unknown; choose of {', '.join(entry_names())}, or package.module:Class"
     )
 
 
-def _made(base: type[GapEntry], name: str, **attributes: object) -> type[GapEntry]:
-    """Return a subclass of an entry with its name and settings."""
-    fixed = {"name": name, "generated": True, "__module__": base.__module__}
-    return type(base.__name__, (base,), {**fixed, **attributes})
+def _made(name: str, *bases: type[GapEntry], **attributes: object) -> type[GapEntry]:
+    """Return a class of an entry with its name and settings."""
+    fixed = {"name": name, "generated": True, "__module__": __name__}
+    return type(bases[0].__name__, bases, {**fixed, **attributes})

@@ -1,6 +1,7 @@
 """Draw whether each step of the loop pays: errors with each model of the plant over those with the declared one.
 
-Points are geometric means over the plants of the ratio to the declared model, with 95 % intervals by a bootstrap.
+Points are geometric means over the plants of the ratio to the declared model, with 95 % intervals by a bootstrap
+over the plants and, of agents, the seeds.
 """
 
 from __future__ import annotations
@@ -11,47 +12,55 @@ from typing import Any
 import numpy as np
 
 from benchmarks.gap.results import interval, plant_scores
-from benchmarks.gap.summary import STEPS
+from benchmarks.gap.summary import STEPS, by_entry
 from benchmarks.results_file import FIGURES, save_figure
 
-CONTROLLERS = ("pid", "predictive", "adaptive-pid", "textbook-pid")
-COLORS = {"pid": "#1f77b4", "predictive": "#d62728", "adaptive-pid": "#2ca02c", "textbook-pid": "#9467bd"}
+COLORS = {
+    "pid": "#1f77b4",
+    "predictive": "#d62728",
+    "adaptive-pid": "#2ca02c",
+    "ppo_mix": "#9467bd",
+    "apg_mix": "#ff7f0e",
+}
+LARGEST_OFFSET = 0.12  # of the points of a step, so that intervals do not cover each other
 
 
 def draw(contents: dict[str, dict[str, Any]]) -> Path:
     """Draw the ratios of every step.
 
     Args:
-        contents: Result files by the name of the entry.
+        contents: Result files by name.
 
     Returns:
         Path of the figure.
     """
     import matplotlib.pyplot as plt
 
-    steps = ("declared", *STEPS)
     figure, axes = plt.subplots(1, 2, figsize=(9.0, 3.6))
-    shown = [name for name in CONTROLLERS if f"{name}-corrected" in contents]
-    scores = {name: plant_scores(content) for name, content in contents.items()}
+    files = by_entry(contents)
+    scores = {name: [plant_scores(content) for content in of_seeds] for name, of_seeds in files.items()}
+    shown = [name for name in COLORS if name in files and f"{name}-corrected" in files]
+    steps = ["declared", *(step for step in STEPS if any(f"{name}-{step}" in files for name in shown))]
     entries = {name: [name if step == "declared" else f"{name}-{step}" for step in steps] for name in shown}
     # The same plants for all points, where an entry has not been scored on all of them.
-    plants = sorted(
-        set.intersection(*(set(scores[e]) for names in entries.values() for e in names if e in scores))
-    )
-    last = max(i for names in entries.values() for i, entry in enumerate(names) if entry in scores)
-    for offset, (name, names) in zip(
-        np.linspace(-0.05, 0.05, max(len(shown), 2)), entries.items(), strict=False
-    ):
+    scored = [set(s) for names in entries.values() for entry in names for s in scores.get(entry, ())]
+    plants = sorted(set.intersection(*scored))
+    offsets = np.linspace(-LARGEST_OFFSET, LARGEST_OFFSET, max(len(shown), 2))
+    for offset, (name, names) in zip(offsets, entries.items(), strict=False):
         present = [i for i, entry in enumerate(names) if entry in scores]
         for axis, field in zip(axes, ("settling_s", "circle_mm"), strict=True):
-            means = np.array([[getattr(scores[names[i]][p], field).mean() for p in plants] for i in present])
-            mean, low, high = np.exp([interval(row) for row in np.log(means / means[0])]).T
+            means = [
+                np.array([[getattr(of[p], field).mean() for p in plants] for of in scores[names[i]]])
+                for i in present
+            ]
+            declared = means[0].mean(axis=0)
+            mean, low, high = np.exp([interval(np.log(values / declared)) for values in means]).T
             at, error = np.array(present) + offset, [mean - low, high - mean]
             axis.errorbar(at, mean, error, fmt="o-", color=COLORS[name], capsize=2, markersize=4, label=name)
     axes[0].set_ylabel("settling time over declared model's")
     axes[1].set_ylabel("path error over declared model's")
     for axis in axes:
-        axis.set_xticks(range(last + 1), steps[: last + 1])
+        axis.set_xticks(range(len(steps)), steps)
         axis.grid(axis="y", linewidth=0.4)
         axis.spines[["top", "right"]].set_visible(False)
     axes[0].legend(frameon=False)

@@ -52,6 +52,7 @@ def new_content(name: str, entry: type[GapEntry], seed: int) -> dict[str, Any]:
             "name": entry.name or name,
             "track": entry.track,
             "knowledge": entry.knowledge,
+            "learned": entry.learned,
             "sha256": sha256_of(entry),
         },
         "versions": {"python": platform.python_version(), **installed_versions(_PACKAGES)},
@@ -186,20 +187,22 @@ def plant_scores(content: dict[str, Any]) -> dict[int, PlantScore]:
     return scores
 
 
-def interval(values: Sequence[float]) -> tuple[float, float, float]:
-    """Return mean and 95 % interval over plants, by a bootstrap.
+def interval(values: Sequence[float] | Array) -> tuple[float, float, float]:
+    """Return the mean of values with its 95 % bootstrap interval.
 
     Args:
-        values: One value per plant, any unit.
+        values: Values by plant, shape (n,), or by seed and plant, shape (seeds, n): both are drawn.
 
     Returns:
         Mean, lower and upper limit; NaN without values.
     """
-    array = np.array(values)
-    if not len(array):
+    array = np.atleast_2d(np.array(values, np.float64))
+    if not array.size:
         return (float("nan"),) * 3
-    index = np.random.default_rng(BOOTSTRAP_SEED).integers(len(array), size=(RESAMPLES, len(array)))
-    low, high = np.quantile(array[index].mean(axis=1), [0.025, 0.975])
+    rng, (seeds, count) = np.random.default_rng(BOOTSTRAP_SEED), array.shape
+    plant, seed = (rng.integers(n, size=(RESAMPLES, n)) for n in (count, seeds))
+    means = array[seed[:, :, None], plant[:, None, :]].mean(axis=(1, 2))
+    low, high = np.quantile(means, [0.025, 0.975])
     return float(array.mean()), float(low), float(high)
 
 
@@ -223,27 +226,27 @@ class Comparison(NamedTuple):
     plants: int
 
 
-def compare(content: dict[str, Any], other: dict[str, Any], part: str) -> Comparison:
+def compare(contents: Sequence[dict[str, Any]], others: Sequence[dict[str, Any]], part: str) -> Comparison:
     """Compare an entry with another, episode by episode on every plant that both have.
 
     Args:
-        content: Result file of the entry.
-        other: Result file of the other entry.
+        contents: Result files of the entry, one per seed of its agent.
+        others: Result files of the other entry.
         part: "reach" (settling times), "circle" or "square" (distances to the path).
 
     Returns:
-        The comparison; below 1 the entry is better.
+        The comparison, of means over the seeds; below 1 the entry is better.
     """
     field = {"reach": "settling_s", "circle": "circle_mm", "square": "square_mm"}[part]
-    mine, others = plant_scores(content), plant_scores(other)
+    mine, theirs = ([plant_scores(content) for content in files] for files in (contents, others))
     counts, ratios = [0, 0, 0, 0], []
-    for index in sorted(set(mine) & set(others)):
-        a, b = getattr(mine[index], field), getattr(others[index], field)
-        ratios.append(float(a.mean() / b.mean()))
-        difference = a - b
-        _, low, high = interval(difference)
-        counts[0] += difference.mean() < 0.0
+    for index in sorted(set.intersection(*(set(scores) for scores in (*mine, *theirs)))):
+        a, b = (np.array([getattr(scores[index], field) for scores in of]) for of in (mine, theirs))
+        ratios.append(a.mean(axis=1) / b.mean())
+        difference = a.mean(axis=0) - b.mean(axis=0)
+        mean, low, high = interval(difference)
+        counts[0] += mean < 0.0
         counts[1] += high < 0.0
-        counts[2] += difference.mean() > 0.0
+        counts[2] += mean > 0.0
         counts[3] += low > 0.0
-    return Comparison(*map(int, counts), interval(ratios), len(ratios))
+    return Comparison(*map(int, counts), interval(np.transpose(ratios)), len(ratios))

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from benchmarks.gap.entries import MODELS
+import numpy as np
+
+from benchmarks.gap.entries import MODELS, family
 from benchmarks.gap.plants import draw_plant
 from benchmarks.gap.protocol import DIGEST, EPISODES, PARTS
-from benchmarks.gap.results import compare, interval, plant_scores, read
+from benchmarks.gap.results import PlantScore, compare, interval, plant_scores, read
 
 RESULTS = Path(__file__).parent / "results"
-STEPS = (*MODELS, "online")
+STEPS = (*MODELS, "trained", "online")
+_MEASURES = {"reach": "settling_s", "circle": "circle_mm", "square": "square_mm"}
+
+Files = dict[str, list[dict[str, Any]]]  # result files by the name of the entry, one per seed of its agent
 
 
 def read_all(folder: Path) -> dict[str, dict[str, Any]]:
@@ -27,67 +33,133 @@ def read_all(folder: Path) -> dict[str, dict[str, Any]]:
     return {content["entry"]["name"]: content for content in contents if content["plants"]}
 
 
-def summarize(contents: dict[str, dict[str, Any]]) -> dict[str, Any]:
-    """Compute the scores of all entries, with 95 % intervals over the plants, and the comparisons between them.
+def by_entry(contents: dict[str, dict[str, Any]]) -> Files:
+    """Group result files by entry: those of several seeds of an agent belong together.
 
     Args:
-        contents: Result files by the name of the entry, all of one set of plants.
+        contents: Result files by name, as `read_all` returns them.
+    """
+    files: Files = {}
+    for name in sorted(contents):
+        files.setdefault(family(name), []).append(contents[name])
+    return files
+
+
+def summarize(contents: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    """Compute the scores of all entries, with 95 % intervals over plants and seeds, and comparisons between them.
+
+    Args:
+        contents: Result files by name, all of one set of plants.
 
     Returns:
         By key, as plain data: "entries" with the scores, "steps" with the comparison of each model with the declared
-        one (by controller and part), and "plants" with what they hide and what was identified.
+        one (by controller and part), "learned" with the comparison of the best learned entry with the best other one
+        (by track and part), and "plants" with what they hide and what was identified.
     """
-    entries = {name: _scores(content) for name, content in contents.items()}
+    files = by_entry(contents)
+    entries = {name: _scores(of_seeds) for name, of_seeds in files.items()}
     steps: dict[str, Any] = {}
-    for name, content in contents.items():
+    for name, of_seeds in files.items():
         base, _, step = name.rpartition("-")
-        if step in STEPS and base in contents:
-            steps[name] = {part: compare(content, contents[base], part)._asdict() for part in PARTS}
+        if step in STEPS and base in files:
+            steps[name] = {part: compare(of_seeds, files[base], part)._asdict() for part in PARTS}
     return {
         "digest": DIGEST,
         "episodes": EPISODES,
         "entries": dict(sorted(entries.items(), key=lambda item: item[1]["over_bound"][0])),
         "steps": steps,
-        "plants": _plants(contents),
+        "learned": _learned_against_other(files, entries),
+        "plants": _plants(files),
     }
 
 
-def _scores(content: dict[str, Any]) -> dict[str, Any]:
-    """Return the scores of an entry."""
-    scores = list(plant_scores(content).values())
-    rows = content["plants"]
+def _learned_against_other(files: Files, entries: dict[str, Any]) -> dict[str, Any]:
+    """Compare the best learned entry with the best other one, by track and part."""
+    found: dict[str, Any] = {}
+    most = max((s["plants"] for s in entries.values()), default=0)
+    for track in dict.fromkeys(s["track"] for s in entries.values()):
+        for part, measure in _MEASURES.items():
+            best = {}
+            for learned in (True, False):
+                # An entry with fewer plants may have had easier ones.
+                names = [
+                    name
+                    for name, s in entries.items()
+                    if (s["track"], s["learned"], s["plants"]) == (track, learned, most)
+                ]
+                if names:
+                    best[learned] = min(names, key=lambda name: float(entries[name][measure][0]))
+            if len(best) == 2:
+                comparison = compare(files[best[True]], files[best[False]], part)._asdict()
+                found.setdefault(track, {})[part] = {
+                    "learned": best[True],
+                    "other": best[False],
+                    "score": entries[best[True]][measure],
+                    "score_of_other": entries[best[False]][measure],
+                    **comparison,
+                }
+    return found
+
+
+def _scores(of_seeds: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return the scores of an entry from the files of all its seeds, on the plants that all of them have."""
+    scored = [plant_scores(content) for content in of_seeds]
+    plants = sorted(set.intersection(*(set(scores) for scores in scored)))
+    rows = [{row["plant"]: row for row in content["plants"]} for content in of_seeds]
+
+    def over(value: Callable[[PlantScore], float]) -> tuple[float, float, float]:
+        values = np.array([[value(scores[p]) for p in plants] for scores in scored])
+        return interval(values[:, np.isfinite(values).all(axis=0)])
+
+    def cost(value: Callable[[dict[str, Any]], float]) -> tuple[float, float, float]:
+        return interval([[value(of[p]) for p in plants] for of in rows])
+
+    entry = of_seeds[0]["entry"]
     return {
-        "track": content["entry"]["track"],
-        "knowledge": content["entry"]["knowledge"],
-        "plants": len(scores),
-        "over_bound": interval([s.over_bound for s in scores if s.over_bound == s.over_bound]),
-        "settling_s": interval([float(s.settling_s.mean()) for s in scores]),
-        "success": interval([s.success for s in scores]),
-        "circle_mm": interval([float(s.circle_mm.mean()) for s in scores]),
-        "square_mm": interval([float(s.square_mm.mean()) for s in scores]),
-        "belt_force_N": max(s.belt_force_N for s in scores),
-        "saturated": interval([s.saturated for s in scores]),
-        "left": interval([s.left for s in scores]),
-        "prepare_cpu_s": interval([row["about"].get("cpu_s", row["prepare_cpu_s"]) for row in rows]),
-        "control_us": interval([row["control_us"] for row in rows]),
+        "track": entry["track"],
+        "knowledge": entry["knowledge"],
+        "learned": entry.get("learned", False),
+        "seeds": len(of_seeds),
+        "plants": len(plants),
+        "versions": sorted({content["versions"]["hframe_gym"] for content in of_seeds}),
+        "over_bound": over(lambda s: s.over_bound),
+        "settling_s": over(lambda s: float(s.settling_s.mean())),
+        "success": over(lambda s: s.success),
+        "circle_mm": over(lambda s: float(s.circle_mm.mean())),
+        "square_mm": over(lambda s: float(s.square_mm.mean())),
+        "belt_force_N": max(scores[p].belt_force_N for scores in scored for p in plants),
+        "saturated": over(lambda s: s.saturated),
+        "left": over(lambda s: s.left),
+        "prepare_cpu_s": cost(lambda row: float(row["about"].get("cpu_s", row["prepare_cpu_s"]))),
+        "control_us": cost(lambda row: float(row["control_us"])),
     }
 
 
-def _plants(contents: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return what each plant hides, what was identified, and the scores by entry."""
-    scores = {name: plant_scores(content) for name, content in contents.items()}
+def _plants(files: Files) -> list[dict[str, Any]]:
+    """Return what each plant hides, what was identified, and the scores by entry, means over its seeds."""
+    scores = {name: [plant_scores(content) for content in of_seeds] for name, of_seeds in files.items()}
     about: dict[int, dict[str, Any]] = {}
-    for content in contents.values():
-        for row in content["plants"]:
-            about[row["plant"]] = about.get(row["plant"], {}) | row["about"]
-    seed = next(iter(contents.values()))["seed"] if contents else 0
+    seed = 0
+    for of_seeds in files.values():
+        for content in of_seeds:
+            seed = content["seed"]
+            for row in content["plants"]:
+                about[row["plant"]] = about.get(row["plant"], {}) | row["about"]
+
+    def means(index: int, measure: str) -> dict[str, float]:
+        return {
+            name: float(np.mean([getattr(s[index], measure).mean() for s in of_seeds]))
+            for name, of_seeds in scores.items()
+            if all(index in s for s in of_seeds)
+        }
+
     return [
         {
             "plant": index,
             "hides": draw_plant(seed, index).describe(),
             **about[index],
-            "settling_s": {n: float(s[index].settling_s.mean()) for n, s in scores.items() if index in s},
-            "circle_mm": {n: float(s[index].circle_mm.mean()) for n, s in scores.items() if index in s},
+            "settling_s": means(index, "settling_s"),
+            "circle_mm": means(index, "circle_mm"),
         }
         for index in sorted(about)
     ]
