@@ -1,4 +1,4 @@
-"""Models for estimators: parameters as ratios to their declared values, and the linear measurement equation."""
+"""Models for estimators: parameters as ratios to their declared values, and the measurement equation."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Iterable
 import numpy as np
 from typing_extensions import override
 
-from ..arrays import Array, Mask, ParameterRows
+from ..arrays import Array, Mask, ParameterRows, TravelStates
 from ..dynamics import Equations
 from ..errors import InputError
 from ..machine import Machine, Sensor
@@ -103,17 +103,19 @@ def _is_linear(sensor: Sensor) -> bool:
 
 
 class MeasurementModel:
-    """Linear measurement equation z = H s of a machine's declared sensors, scaled to meters of belt travel.
+    """Measurement equation z = H s + d(s) of a machine's declared sensors, scaled to meters of belt travel.
 
-    The state s holds the belt travel of the n coordinates, m, and its velocity, m/s. Sensors of positions and speeds
-    are used; those of accelerations, currents and unsigned speeds are not linear in the state, and an angle that begins
-    anew after each turn does not tell the position, so that they count as outside their range.
+    The state s holds the belt travel of the n coordinates, m, and its velocity, m/s; d(s) is what effects of the
+    sensors, such as an interpolation error, add to a linear measurement. Sensors of positions and speeds are used;
+    those of accelerations, currents and unsigned speeds are not linear in the state, and an angle that begins anew
+    after each turn does not tell the position, so that they count as outside their range.
 
     Args:
         model: Model of the machine whose `sensors`, with their ranges and delays, supply the measurements.
 
     Attributes:
         channels: Number of sensors.
+        is_linear: Whether no effect changes the sensors, so that d is 0.
         matrix: H, shape (channels, 2 n); m per m in the first n columns, m per m/s (s) in the others,
             which a sensor's delay makes nonzero.
         variance: Variances of the measurement noise including quantization, m^2, shape (channels,).
@@ -130,23 +132,19 @@ class MeasurementModel:
         unlimited = dataclasses.replace(
             machine, effects=tuple(e for e in machine.effects if not e.measuring_range)
         )
-        equations = Equations(unlimited)
-        zeros = np.zeros(len(names))
+        self._equations = equations = Equations(unlimited)
         self._used = np.array([_is_linear(sensor) for sensor in machine.sensors], np.bool_)
-        count, no_currents = len(names), np.zeros(len(machine.drives))
-        states = np.vstack([np.zeros(2 * count), np.eye(2 * count)])
-        readings = [
-            np.array(equations.sensor_readings(*map(list, (q, v, zeros, no_currents))), np.float64)
-            for q, v in (np.split(state, 2) for state in states)
-        ]
+        count = len(names)
+        self._scale = np.tile(machine.travel_per_unit, 2)
+        readings = self._readings(np.vstack([np.zeros(2 * count), np.diag(self._scale)]))
         # Sensitivity of each channel to travel and speed of each coordinate, in the channel's unit per m and per m/s.
-        sensitivity = (np.stack(readings[1:], axis=1) - readings[0][:, None]) / np.tile(
-            machine.travel_per_unit, 2
-        )
+        sensitivity = (readings[1:] - readings[0]).T / self._scale
         sensitivity[~self._used] = 0.0
         norm = np.linalg.norm(sensitivity, axis=1)
         self._unit = 1.0 / np.where(norm > 0.0, norm, 1.0)  # m or m/s per channel's unit
-        positions, speeds = np.split(sensitivity * self._unit[:, None], 2, axis=1)
+        self._undelayed = sensitivity * self._unit[:, None]
+        positions, speeds = np.split(self._undelayed, 2, axis=1)
+        self.is_linear = all(effect.definition.measurement is None for effect in unlimited.effects)
         # To first order in a sensor's delay d, it measures travel - d * velocity.
         delays = np.array(equations.measurement_delays(), np.float64)
         self.matrix: Array = np.hstack([positions, speeds - delays[:, None] * positions])
@@ -159,6 +157,25 @@ class MeasurementModel:
                 f"machine {machine.name!r}: its sensors ({', '.join(machine.output_channels) or 'none'}) do not "
                 "determine the position of the tool"
             )
+
+    def _readings(self, states: TravelStates) -> Array:
+        """Return the measurements without delay, in the units of the channels, shape (B, channels)."""
+        count = states.shape[1] // 2
+        columns = list((states / self._scale).T)
+        at_rest = [np.zeros(len(states))] * max(count, len(self._equations.machine.drives))
+        readings = self._equations.sensor_readings(columns[:count], columns[count:], at_rest, at_rest)
+        return np.stack(np.broadcast_arrays(*readings, at_rest[0])[:-1], axis=1)
+
+    def deviation(self, states: TravelStates) -> Array:
+        """Compute d(s), what effects of the sensors add to a linear measurement of the position.
+
+        Returns:
+            Deviations, m of positions, m/s of speeds, shape (B, channels); 0 if the sensor is not used.
+        """
+        if self.is_linear:
+            return np.zeros((len(states), self.channels))
+        deviation = self._readings(states) * self._unit - states @ self._undelayed.T
+        return np.where(self._used, deviation, 0.0)
 
     def to_travel(self, measurements: Array) -> Array:
         """Scale measurements to belt travel, m, or its rate, m/s, as the measurement equation has them.

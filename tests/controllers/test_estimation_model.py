@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hframe_gym.controllers import MotionModel
+from hframe_gym.controllers import MotionModel, StateEstimator
 from hframe_gym.controllers.estimation_model import AugmentedParameters, MeasurementModel
 from hframe_gym.effects import EFFECTS
 from hframe_gym.errors import InputError
@@ -74,6 +74,18 @@ def test_measurement_equation_follows_the_declared_sensors(hframe: Machine) -> N
     np.testing.assert_allclose(np.sqrt(measurements.variance), std, rtol=1e-3)
     in_range = measurements.in_range(np.array([[100.0, 0.06], [0.0, 0.059]]))
     np.testing.assert_array_equal(in_range, [[True, False], [True, True]])
+
+
+def test_a_periodic_error_is_taken_from_the_measurement(hframe: Machine) -> None:
+    sensors = (Sensor("x_m", {"x": 1.0}, 2e-5), Sensor("y_m", {"y": 1.0}, 2e-5))
+    amplitude, rate, phase = 2e-4, 1290.0, -2.0
+    error = EFFECTS["interpolation_error"].at("x_m", A=amplitude, n=rate, p=phase)
+    machine = hframe.replace(sensors=sensors).with_effects(error)
+    position = np.column_stack([np.linspace(-0.1, 0.1, 23), np.full(23, 0.03)])
+    measured = position.copy()
+    measured[:, 0] += amplitude * np.sin(rate * position[:, 0] + phase)
+    state = StateEstimator(machine, 0.01).update(measured)
+    np.testing.assert_allclose(state[:, :2], position, atol=0.01 * amplitude)
 
 
 def test_sensors_that_do_not_determine_the_tool_are_rejected(hframe: Machine) -> None:
