@@ -166,7 +166,7 @@ def _directions(fitted: Fit, data: Dataset, prior: Array) -> Array:
     expansion = model.linearize(fitted.theta)
     cost, noise = expansion.normal_equations.cost, max(1.0, expansion.normal_equations.chi2)
     for j in np.flatnonzero(switches):
-        costs = expansion.costs(with_changed_switch(fitted.free[j], int(j), fitted.theta))
+        costs = expansion.costs(with_changed_switch(fitted.free[j], int(j), fitted.theta, SWITCH_CHANGES))
         clear = (costs - cost).reshape(2, -1).min(axis=0) > noise  # for larger and for smaller values
         directions[j, j] = SWITCH_CHANGES[clear].min(initial=1.0 / np.sqrt(prior[j, j]))
     return directions

@@ -37,6 +37,9 @@ _DAMPINGS = (0.0, 1e-5, 1e-3, 1e-2, 1e-1, 1.0, 1e1, 1e2)
 _IMPACT_DIFFERENCE_STEPS = (0.1, 0.01, DIFFERENCE_STEP)
 # Changes of theta at which the cost is compared for a parameter on which measurements depend in steps.
 SWITCH_CHANGES = 0.5 ** np.arange(1, 14)  # 50 to 0.01 % of a threshold
+# The same for a parameter on which no prediction depends, such as a limit that is not reached: once it is reached,
+# derivatives lead on.
+UNREACHED_CHANGES = SWITCH_CHANGES[:5]  # 50 to 3 %
 
 
 @dataclass(frozen=True)
@@ -186,10 +189,14 @@ def _descend(
         trials = theta + [bounded_step(free, theta, hessian + d * scaling, gradient) for d in _DAMPINGS]
         theta, cost = _best_trial(expansion, precision, trials, theta, cost)
         for j in (j for j, parameter in enumerate(free) if parameter.switch):
-            trials = with_changed_switch(free[j], j, theta)
+            trials = with_changed_switch(free[j], j, theta, SWITCH_CHANGES)
             theta, cost = _best_trial(expansion, precision, trials, theta, cost)
         if not initial_cost - cost > tolerance * cost:
-            break
+            for j in np.flatnonzero(np.diag(information) == 0.0):
+                trials = with_changed_switch(free[j], j, theta, UNREACHED_CHANGES)
+                theta, cost = _best_trial(expansion, precision, trials, theta, cost)
+            if not initial_cost - cost > tolerance * cost:
+                break
     return theta, cost, information
 
 
@@ -212,22 +219,21 @@ def _best_trial(
     return (trials[best], float(costs[best])) if costs[best] < cost else (theta, cost)
 
 
-def with_changed_switch(parameter: FreeParameter, j: int, theta: Array) -> Array:
-    """Change a threshold on which measurements depend in steps, so that costs can be compared.
+def with_changed_switch(parameter: FreeParameter, j: int, theta: Array, changes: Array) -> Array:
+    """Change a parameter whose derivatives do not lead to the minimum, so that costs can be compared.
 
     Args:
-        parameter: The threshold (`FreeParameter.switch`).
+        parameter: The parameter, such as a threshold (`FreeParameter.switch`).
         j: Its index among the free parameters.
         theta: Dimensionless variables of the k free parameters, shape (k,).
+        changes: Relative changes, shape (c,).
 
     Returns:
-        Copies of theta in which element j is larger, by the relative changes `SWITCH_CHANGES` of the threshold, then
-        those in which it is smaller, within its limits, shape (2 * changes, k).
+        Copies of theta in which element j is larger by the changes, then those in which it is smaller, within its
+        limits, shape (2 * c, k).
     """
-    trials = np.tile(theta, (2 * len(SWITCH_CHANGES), 1))
-    trials[:, j] = np.clip(
-        theta[j] + np.concatenate([SWITCH_CHANGES, -SWITCH_CHANGES]), *parameter.theta_limits
-    )
+    trials = np.tile(theta, (2 * len(changes), 1))
+    trials[:, j] = np.clip(theta[j] + np.concatenate([changes, -changes]), *parameter.theta_limits)
     return trials
 
 
