@@ -76,29 +76,22 @@ def summarize(contents: dict[str, dict[str, Any]]) -> dict[str, Any]:
 def _learned_against_other(files: Files, entries: dict[str, Any]) -> dict[str, Any]:
     """Compare the best learned entry with the best other one, by track and part."""
     found: dict[str, Any] = {}
-    most = max((s["plants"] for s in entries.values()), default=0)
     for track in dict.fromkeys(s["track"] for s in entries.values()):
+        of_track = {name: s for name, s in entries.items() if s["track"] == track}
         for part, measure in _MEASURES.items():
-            best = {}
-            for learned in (True, False):
-                # An entry with fewer plants may have had easier ones.
-                names = [
-                    name
-                    for name, s in entries.items()
-                    if (s["track"], s["learned"], s["plants"]) == (track, learned, most)
-                ]
-                if names:
-                    best[learned] = min(names, key=lambda name: float(entries[name][measure][0]))
-            if len(best) == 2:
-                comparison = compare(files[best[True]], files[best[False]], part)._asdict()
-                found.setdefault(track, {})[part] = {
-                    "learned": best[True],
-                    "other": best[False],
-                    "score": entries[best[True]][measure],
-                    "score_of_other": entries[best[False]][measure],
-                    **comparison,
-                }
+            learned, other = (_best(of_track, kind, measure) for kind in (True, False))
+            if learned and other:
+                comparison = compare(files[learned], files[other], part)._asdict()
+                found.setdefault(track, {})[part] = {"learned": learned, "other": other, **comparison}
     return found
+
+
+def _best(entries: dict[str, Any], learned: bool, measure: str) -> str:
+    """Return the name of the best entry, learned or not, of those with the most plants; "" if there is none."""
+    chosen = {name: s for name, s in entries.items() if s["learned"] == learned}
+    most = max((s["plants"] for s in chosen.values()), default=0)  # those of fewer may be the easier ones
+    names = [name for name, s in chosen.items() if s["plants"] == most]
+    return min(names, key=lambda name: float(chosen[name][measure][0]), default="")
 
 
 def _scores(of_seeds: list[dict[str, Any]]) -> dict[str, Any]:

@@ -18,10 +18,26 @@ from .motion_model import MotionModel
 # masses are weighed, motors have data sheets. A resistance has the effect of a Kt and is not estimated beside it.
 PARAMETER_STD = {"mass": 0.1, "coulomb": 0.4, "viscous": 0.2, "EA": 0.1, "Kt": 0.05, "Ke": 0.05}
 COMMON_BELT_STD = 0.17  # of the error that all belts have in common because they are cut from one piece
+# Of these deviations, what remains possible after an identification: heat, wear, and friction that depends on the place.
+REMAINING = 0.25
 LARGEST_RATIO = 4.0  # largest ratio of a parameter to its declared value, or the inverse
 SMALLEST_NOISE_M = (
     1e-7  # m, floor of the measurement noise in travel, also for sensors declared without noise
 )
+
+
+def prior_deviation(machine: Machine, name: str, declared: float) -> float:
+    """Return the standard deviation of the logarithm of a parameter's ratio to its value in the machine.
+
+    Args:
+        name: Full name of the parameter, for example "x.mass".
+        declared: Standard deviation of a declared value, dimensionless, which an identified one does not exceed.
+    """
+    std = machine.uncertainty.std(name) if machine.uncertainty else None
+    value = machine.parameters[name]
+    if std is None or value == 0.0:
+        return declared
+    return min(declared, float(np.hypot(std / value, REMAINING * declared)))
 
 
 class ParameterRatios:

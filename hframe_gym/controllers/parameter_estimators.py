@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from ..arrays import Array, Mask, ParameterRows, TravelStates
 from ..dynamics import rollout
 from .base import SIMULATION_STEP_S
-from .estimation_model import ParameterRatios
+from .estimation_model import ParameterRatios, prior_deviation
 from .motion_model import MotionModel
 
 LARGEST = 1.2  # limit of the logarithms: a ratio of 3.3, or the inverse
@@ -59,7 +59,8 @@ class ParameterEstimator(ABC):
 
     Attributes:
         prior_std: Prior standard deviations of ln(actual / declared value) by kind of parameter: "coulomb" and "mass"
-            of every coordinate, "EA" and "rest_length" of every belt (class attribute).
+            of every coordinate, "EA" and "rest_length" of every belt (class attribute). Those of an identified machine
+            are smaller (`prior_deviation`).
         prior_offset_std: Prior standard deviation of the missing voltage (voltage at a drive that the simulation lacks)
             as a fraction of the rated voltage; None: no missing voltages are estimated (class attribute).
         state_std: Standard deviations of measured minus simulated belt travel, m, and its rate, m/s (class attribute).
@@ -86,7 +87,11 @@ class ParameterEstimator(ABC):
             for kind, value in self.prior_std.items()
             for component in components[kind]
         }
-        std = {name: value for name, value in std.items() if name in machine.parameters}
+        std = {
+            name: prior_deviation(machine, name, value)
+            for name, value in std.items()
+            if name in machine.parameters
+        }
         self._model, self._ratios = model, ParameterRatios(machine, std)
         self.parameter_names = self._ratios.names
         offsets = [] if self.prior_offset_std is None else [self.prior_offset_std] * len(model.rated)

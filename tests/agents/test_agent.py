@@ -51,6 +51,23 @@ def test_the_machine_of_the_training_is_saved_with_the_agent(tmp_path):
     assert Agent.load(tmp_path).machine.parameters == heavier.parameters
 
 
+def test_the_laws_of_an_agent_are_designed_for_the_given_machine():
+    folder = shipped_agent_folder("ppo_mix", "reach")
+    trained_on = Agent.load(folder)
+    observation, _ = HFrameVectorEnv(2).reset(seed=0)
+    action = trained_on.act(observation)
+    assert np.array_equal(Agent.load(folder, trained_on.machine).act(observation), action)
+    declared = trained_on.machine.parameters
+    weaker = trained_on.machine.replace({f"motor{i}.Kt": 0.5 * declared[f"motor{i}.Kt"] for i in (1, 2)})
+    agent = Agent.load(folder, weaker)
+    agent.act(observation)
+    volts, volts_before = (np.abs(of.mapping.laws.volts).mean() for of in (agent, trained_on))
+    assert 1.5 * volts_before < volts < 3.0 * volts_before
+    assert agent.card["features"] != trained_on.card["features"]
+    with pytest.raises(InputError, match="was trained on a machine with 2 axes"):
+        Agent.load(folder, BUILTIN_MACHINES["axis"]())
+
+
 def test_a_saved_copy_acts_like_the_original(tmp_path):
     agent = Agent.load(shipped_agent_folder("residual", "reach"))
     agent.save(tmp_path)

@@ -237,13 +237,24 @@ def test_practice_shows_no_true_positions() -> None:
 
 
 def test_names_of_entries() -> None:
-    assert {"pid", "predictive-corrected", "adaptive-pid-online", "ppo", "apg-identified"} <= set(
-        entry_names()
-    )
+    assert {
+        "pid",
+        "predictive-corrected",
+        "adaptive-pid-online",
+        "ppo",
+        "apg_mix-corrected",
+        "apg-trained",
+    } <= set(entry_names())
     assert get_entry("pid-refitted").track == "identified"
     assert get_entry("predictive-online").track == "online"
+    assert get_entry("ppo_mix-corrected").name == "ppo_mix-seed0-corrected"
+    second = get_entry("ppo_mix-seed1-online")
+    assert (second.track, second.learned, get_entry("pid").learned) == ("online", True, False)
+    assert {file.parent.name for file in second.files()} == {"ppo_mix-seed1", "residual-seed1"}
+    with pytest.raises(InputError, match="no shipped agent 'ppo_mix-seed99'"):
+        get_entry("ppo_mix-seed99").files()
     assert get_entry(f"{__name__}:Still") is Still
-    for name in ("nothing", "no.such.module:Class", f"{__name__}:Constant", "pid-best"):
+    for name in ("nothing", "no.such.module:Class", f"{__name__}:Constant", "pid-best", "pid-seed1"):
         with pytest.raises(InputError, match="entry"):
             get_entry(name)
 
@@ -361,7 +372,7 @@ def test_edited_and_impossible_results_are_refused(tmp_path: Path, monkeypatch: 
         results.read(edited)
 
 
-def _content(name: str, times: list[list[float]]) -> dict[str, Any]:
+def _content(name: str, times: list[list[float]], learned: bool = False) -> dict[str, Any]:
     """Return a result with given settling times per plant."""
     rows = []
     for index, column in enumerate(times):
@@ -369,22 +380,48 @@ def _content(name: str, times: list[list[float]]) -> dict[str, Any]:
         paths = {part: {"path_rms_mm": [0.1], **safety} for part in ("circle", "square")}
         values = {"reach": {results.SETTLED: column, **safety}, **paths}
         rows.append({"plant": index, "values": values, "prepare_cpu_s": 0.0, "control_us": 1.0, "about": {}})
-    entry = {"name": name, "track": "zero-shot", "knowledge": "", "sha256": ""}
-    return {"seed": PUBLIC_SEED, "entry": entry, "plants": rows}
+    entry = {"name": name, "track": "zero-shot", "knowledge": "", "learned": learned, "sha256": ""}
+    return {"seed": PUBLIC_SEED, "entry": entry, "versions": {"hframe_gym": "0"}, "plants": rows}
 
 
 def test_comparison_is_paired_by_plant_and_move(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(results, "stored_bounds", lambda seed: {0: np.array([0.2, 0.2, np.nan])})
     base = _content("pid", [[0.4, 0.5, 0.6], [0.4, 0.5, 0.6], [0.4, 0.5, 0.6]])
     other = _content("pid-corrected", [[0.3, 0.4, 0.5], [0.3, 0.6, 0.5], [0.5, 0.6, 0.7]])
-    found = results.compare(other, base, "reach")
+    found = results.compare([other], [base], "reach")
     assert found[:4] == (2, 1, 1, 1)
     assert found.plants == 3
     assert found.ratio[0] == pytest.approx(np.mean([0.8, 1.4 / 1.5, 1.2]))
     scores = results.plant_scores(base)
     assert scores[0].over_bound == pytest.approx(0.45 / 0.2)
-    steps = summarize({"pid": base, "pid-corrected": other})["steps"]
-    assert steps["pid-corrected"]["reach"]["better"] == 2
+    summary = summarize({"pid": base, "pid-corrected": other})
+    assert summary["steps"]["pid-corrected"]["reach"]["better"] == 2
+    assert summary["learned"] == {}
+
+
+def test_seeds_of_an_agent_are_one_entry() -> None:
+    base = _content("pid", [[0.4, 0.5], [0.4, 0.5], [0.6, 0.7]])
+    seeds = [
+        _content(f"apg_mix-seed{seed}", [[0.3 + change, 0.4 - change]] * 2, learned=True)
+        for seed, change in enumerate((-0.05, 0.15))
+    ]
+    summary = summarize({content["entry"]["name"]: content for content in (base, *seeds)})
+    entry = summary["entries"]["apg_mix"]
+    assert (entry["seeds"], entry["plants"]) == (2, 2)
+    assert entry["settling_s"][0] == pytest.approx(0.35)
+    best = summary["learned"]["zero-shot"]["reach"]
+    assert (best["learned"], best["other"], best["plants"]) == ("apg_mix", "pid", 2)
+    assert best["better"] == best["clearly_better"] == 2
+    assert best["ratio"][0] == pytest.approx(0.35 / 0.45)
+
+
+def test_intervals_are_over_plants_and_seeds() -> None:
+    of_plants = results.interval([1.0, 2.0, 3.0, 4.0])
+    assert of_plants[0] == 2.5
+    assert results.interval([[1.0, 2.0, 3.0, 4.0]] * 3) == pytest.approx(of_plants)
+    mean, low, high = results.interval([[1.0] * 4, [2.0] * 4])
+    assert (mean, low, high) == (1.5, 1.0, 2.0)
+    assert np.isnan(results.interval([])).all()
 
 
 def test_identification_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

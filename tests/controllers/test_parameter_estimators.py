@@ -7,7 +7,7 @@ from hframe_gym.agents.residual_action import ResidualAction
 from hframe_gym.controllers import CONTROLLERS, MotionModel, ParameterFilter
 from hframe_gym.effects import EFFECTS
 from hframe_gym.envs import HFrameVectorEnv
-from hframe_gym.machine import BUILTIN_MACHINES
+from hframe_gym.machine import BUILTIN_MACHINES, Uncertainty
 
 MACHINE = BUILTIN_MACHINES["hframe"]()
 PERIOD, PERIODS, COUNT = 0.01, 15, 64
@@ -28,10 +28,10 @@ def motion():
     return np.array(states), np.array(actions), dict(zip(MACHINE.parameters, ratios.T, strict=True))
 
 
-def estimated(motion):
+def estimated(motion, machine=MACHINE):
     """Return the estimates after the motion."""
     states, actions, _ = motion
-    parameter_filter = ParameterFilter(MotionModel(MACHINE), PERIOD)
+    parameter_filter = ParameterFilter(MotionModel(machine), PERIOD)
     parameter_filter.update(states[0], states[0], actions[0], np.ones(COUNT, np.bool_))
     assert not parameter_filter.estimates.any()
     for k in range(PERIODS):
@@ -49,6 +49,17 @@ def test_estimates_approach_the_parameters_of_each_episode(motion):
     assert by_kind["friction of the motors"].max() < 0.4
     assert by_kind["masses"].max() < 0.6
     assert by_kind["belts"].max() < 0.3
+
+
+def test_estimates_of_an_identified_machine_stay_closer_to_its_values(motion):
+    name, index = "phi1.coulomb", 2
+    value = MACHINE.parameters[name]
+    spread = [
+        estimated(motion, MACHINE.replace(uncertainty=Uncertainty((name,), np.array([[(r * value) ** 2]]))))
+        for r in (1e-3, 5.0)  # well identified, and not at all
+    ]
+    assert np.std(spread[0][:, index]) < 0.8 * np.std(spread[1][:, index])
+    np.testing.assert_allclose(spread[1], estimated(motion))
 
 
 def test_the_observation_of_a_policy_contains_the_estimates(motion):

@@ -59,6 +59,19 @@ def test_a_fit_finds_a_threshold(switching: tuple[Machine, Dataset], start: floa
     assert fitted.values["dead_band@motor.Vd"] == pytest.approx(THRESHOLD, rel=0.01)
 
 
+def test_a_fit_finds_a_limit_that_the_declared_machine_does_not_reach() -> None:
+    axis = BUILTIN_MACHINES["axis"]()
+    drive = axis.drives[0]
+    reached = 3.0 / drive.resistance  # A, at standstill with 3 V
+    limited = [
+        axis.with_effects(EFFECTS["current_limit"].at("motor", I=ratio * reached)) for ratio in (0.6, 1.8)
+    ]
+    data = runs(limited[0], limited[1], 3.0)
+    fitted = fit(limited[1], default_free_parameters(limited[1]), data, SEARCH_BANDWIDTH)
+    assert fitted.values["current_limit@motor.I"] == pytest.approx(0.6 * reached, rel=0.01)
+    assert fitted.chi2 < 1.1
+
+
 def test_the_standard_deviation_of_a_threshold_is_the_distance_of_the_voltages(
     switching: tuple[Machine, Dataset],
 ) -> None:

@@ -36,7 +36,7 @@ _DAMPINGS = (0.0, 1e-5, 1e-3, 1e-2, 1e-1, 1.0, 1e1, 1e2)
 # Changes of theta over which derivatives are computed where parts collide: from the general slope to the details.
 _IMPACT_DIFFERENCE_STEPS = (0.1, 0.01, DIFFERENCE_STEP)
 # Changes of theta at which the cost is compared for a parameter on which measurements depend in steps.
-SWITCH_CHANGES = 0.5 ** np.arange(1, 14)  # 50 to 0.01 % of a threshold
+SWITCH_CHANGES: Array = np.float64(0.5) ** np.arange(1, 14)  # 50 to 0.01 % of a threshold
 # The same for a parameter on which no prediction depends, such as a limit that is not reached: once it is reached,
 # derivatives lead on.
 UNREACHED_CHANGES = SWITCH_CHANGES[:5]  # 50 to 3 %
@@ -192,7 +192,7 @@ def _descend(
             trials = with_changed_switch(free[j], j, theta, SWITCH_CHANGES)
             theta, cost = _best_trial(expansion, precision, trials, theta, cost)
         if not initial_cost - cost > tolerance * cost:
-            for j in np.flatnonzero(np.diag(information) == 0.0):
+            for j in np.flatnonzero(np.diag(information) == 0.0).tolist():
                 trials = with_changed_switch(free[j], j, theta, UNREACHED_CHANGES)
                 theta, cost = _best_trial(expansion, precision, trials, theta, cost)
             if not initial_cost - cost > tolerance * cost:
