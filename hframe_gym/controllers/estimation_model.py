@@ -18,7 +18,7 @@ from .motion_model import MotionModel
 # masses are weighed, motors have data sheets. A resistance has the effect of a Kt and is not estimated beside it.
 PARAMETER_STD = {"mass": 0.1, "coulomb": 0.4, "viscous": 0.2, "EA": 0.1, "Kt": 0.05, "Ke": 0.05}
 COMMON_BELT_STD = 0.17  # of the error that all belts have in common because they are cut from one piece
-# Of these deviations, what remains possible after an identification: heat, wear, and friction that depends on the place.
+# Of these deviations, what remains possible after an identification: heat, wear, friction that depends on the place.
 REMAINING = 0.25
 LARGEST_RATIO = 4.0  # largest ratio of a parameter to its declared value, or the inverse
 SMALLEST_NOISE_M = (
