@@ -27,6 +27,22 @@ def test_docstrings_state_shapes_and_units(repository: House) -> None:
     assert repository.vague == []
 
 
+def test_methods_that_override_say_so(repository: House) -> None:
+    assert repository.unmarked_overrides == []
+
+
+def test_an_override_is_recognized_over_several_classes(tmp_path: Path) -> None:
+    for folder in ("hframe_gym", "agents"):
+        (tmp_path / folder).mkdir()
+    (tmp_path / "hframe_gym" / "base.py").write_text(
+        "class A(Generic[T]):\n    def f(self): ...\n    def g(self): ...\nclass B(base.A[int]):\n    x = 1\n"
+    )
+    (tmp_path / "agents" / "derived.py").write_text(
+        "class C(B):\n    @override\n    def f(self): ...\n    def g(self): ...\n    def __init__(self): ...\n"
+    )
+    assert measure(tmp_path).unmarked_overrides == ["agents/derived.py:4: C.g"]
+
+
 def _function(source: str) -> Function:
     node = ast.parse(source).body[0]
     assert isinstance(node, ast.FunctionDef)

@@ -2,9 +2,10 @@
 
     python -m tools.house [--list]
 
-`--list` also prints every word that counts, every function without docstring, and every array without a shape and
-number without a unit. tests/test_house.py holds the limits on these. Sizes are printed, not limited: a
-module is one idea and a function does one thing, with the length that this needs.
+`--list` also prints every word that counts, every function without docstring, every array without a shape and number
+without a unit, and every method that overrides another without saying so. tests/test_house.py holds the limits on
+these. Sizes are printed, not limited: a module is one idea and a function does one thing, with the length that this
+needs.
 """
 
 from __future__ import annotations
@@ -140,6 +141,7 @@ class House:
         docstring_lines: Number of lines of docstrings by module.
         functions: All functions and methods that are not nested in a function.
         array_classes: Names of the classes with a field that is annotated as an array.
+        bases: Names of the base classes by name of the class.
     """
 
     lines: int = 0
@@ -150,6 +152,7 @@ class House:
     docstring_lines: Counter[Path] = field(default_factory=Counter)
     functions: list[Function] = field(default_factory=list)
     array_classes: set[str] = field(default_factory=set)
+    bases: dict[str, set[str]] = field(default_factory=dict)
 
     @property
     def words_per_1000_lines(self) -> float:
@@ -195,6 +198,26 @@ class House:
             if (vague := f.vague_entries(self.array_classes))
         ]
 
+    @property
+    def unmarked_overrides(self) -> list[str]:
+        """Return the methods, of classes with a base class here, that override one without `@override`."""
+        methods: dict[str, set[str]] = {}
+        for f in self.functions:
+            owner, _, name = f.name.rpartition(".")
+            methods.setdefault(owner, set()).add(name)
+
+        def inherited(name: str) -> set[str]:
+            bases = self.bases.get(name, set()) - {name}
+            return set().union(*(methods.get(base, set()) | inherited(base) for base in bases))
+
+        return [
+            _where(f)
+            for f in self.functions
+            if not f.inherits
+            and (parts := f.name.rpartition("."))[2] in inherited(parts[0])
+            and not parts[2].startswith("__")
+        ]
+
 
 def measure(root: Path = ROOT) -> House:
     """Measure hframe_gym and agents.
@@ -221,6 +244,7 @@ def measure(root: Path = ROOT) -> House:
             if isinstance(node, _Documented) and ast.get_docstring(node) is not None:
                 house.docstring_lines[relative] += (node.body[0].end_lineno or 0) - node.body[0].lineno + 1
             if isinstance(node, ast.ClassDef):
+                house.bases.setdefault(node.name, set()).update(map(_last_name, node.bases))
                 fields = [
                     ast.unparse(item.annotation) for item in node.body if isinstance(item, ast.AnnAssign)
                 ]
@@ -314,8 +338,9 @@ def main() -> None:
     )
     print(f"public functions without docstring: {len(house.undocumented)} of {len(house.public_functions)}")
     print(f"public functions with an array without shape or a number without unit: {len(house.vague)}")
+    print(f"methods that override without @override: {len(house.unmarked_overrides)}")
     if arguments.list:
-        for entry in (*house.words, *house.undocumented, *house.vague):
+        for entry in (*house.words, *house.undocumented, *house.vague, *house.unmarked_overrides):
             print(entry)
 
 

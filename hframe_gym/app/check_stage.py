@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from nicegui import run, ui
+from typing_extensions import override
 
 from ..data_validation import Finding, group_findings
 from ..errors import InputError
@@ -48,10 +49,12 @@ class CheckStage(Stage):
         self._run = ""
         self._wanted: list[_Wanted] = []
 
+    @override
     def missing(self) -> tuple[str, str] | None:
         """Return that runs must come first."""
         return None if self.session.runs else ("logs", "There are no runs yet.")
 
+    @override
     def state(self) -> State:
         """Return whether the runs were checked, and whether there is a fault."""
         findings = self._findings()
@@ -59,6 +62,7 @@ class CheckStage(Stage):
             return ""
         return "problem" if any(finding.severity == "fault" for finding in findings) else "done"
 
+    @override
     def commands(self) -> list[list[str]]:
         """Return the command that checks."""
         return [check_command()]
@@ -70,6 +74,7 @@ class CheckStage(Stage):
             return None
         return [Finding(**entry) for entry in json.loads(path.read_text(encoding="utf-8"))["findings"]]
 
+    @override
     def show(self) -> None:
         """Build the stage."""
         self.command_box()

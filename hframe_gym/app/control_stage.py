@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from nicegui import events, ui
+from typing_extensions import override
 
 from ..agents import shipped_agent_names
 from ..controllers import CONTROLLERS, period_concern, shorter_period, suited_controllers
@@ -45,6 +46,7 @@ class ControlStage(Stage):
         self._episode = 0
         self._motions = 4
 
+    @override
     def missing(self) -> tuple[str, str] | None:
         """Return what a comparison of controllers needs."""
         machine = self.session.machine
@@ -52,6 +54,7 @@ class ControlStage(Stage):
             return "machine", "There is no machine yet."
         return None
 
+    @override
     def state(self) -> State:
         """Return whether controllers were compared."""
         return "done" if self.session.path(self.session.control, "scores.json").exists() else ""
@@ -62,6 +65,7 @@ class ControlStage(Stage):
         machine = load_machine(self.session.path(self.session.corrected))
         return "identified" if machine.uncertainty is not None else "none"
 
+    @override
     def commands(self) -> list[list[str]]:
         """Return the command that compares."""
         command = evaluate_command(
@@ -75,6 +79,7 @@ class ControlStage(Stage):
         )
         return [command]
 
+    @override
     def show(self) -> None:
         """Build the stage."""
         machine = load_machine(self.session.path(self.session.corrected))

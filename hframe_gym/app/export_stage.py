@@ -10,6 +10,7 @@ from typing import Any
 from urllib.parse import quote
 
 from nicegui import ui
+from typing_extensions import override
 
 from ..exporters import EXPORTERS
 from ..exporters.base import ARGUMENT, HELP
@@ -32,10 +33,12 @@ class ExportStage(Stage):
         self._options: dict[str, str] = {}
         self._arguments = ""
 
+    @override
     def missing(self) -> tuple[str, str] | None:
         """Return that a machine must come first."""
         return None if self.session.machine is not None else ("machine", "There is no machine yet.")
 
+    @override
     def state(self) -> State:
         """Return whether something was exported."""
         return "done" if self._files() else ""
@@ -45,6 +48,7 @@ class ExportStage(Stage):
         folder = self.session.path(EXPORTS)
         return sorted(path for path in folder.rglob("*") if path.is_file()) if folder.is_dir() else []
 
+    @override
     def commands(self) -> list[list[str]]:
         """Return the command that exports."""
         exporter = EXPORTERS.get(self._kind)
@@ -52,6 +56,7 @@ class ExportStage(Stage):
         machine = self.session.corrected if takes_machine else None
         return [export_command(self._kind, machine, self._options, self._arguments.split())]
 
+    @override
     def show(self) -> None:
         """Build the stage."""
         kinds = {name: f"{name}: {_summary(EXPORTERS.get(name))}" for name in EXPORTERS}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from nicegui import ui
+from typing_extensions import override
 
 from ..recordings import run_name
 from ..web_page import number
@@ -41,21 +42,25 @@ class IdentifyStage(Stage):
         self._chart: Any = None
         self._drawn = 0
 
+    @override
     def missing(self) -> tuple[str, str] | None:
         """Return that runs must come first."""
         if len(self.session.runs) < 2:
             return "logs", "Identification needs at least two runs, because one is held out."
         return None
 
+    @override
     def state(self) -> State:
         """Return whether there is a result."""
         return "done" if self.session.path(RESULT, "report.json").exists() else ""
 
+    @override
     def commands(self) -> list[list[str]]:
         """Return the command that identifies."""
         aside = self.session.aside_command(RESULT, CONTROL, EXPORTS)
         return [*aside, identify_command(self._hold_out, self._budget, self._force)]
 
+    @override
     def show(self) -> None:
         """Build the stage."""
         if self.page.stages["check"].state() == "problem":
@@ -90,11 +95,13 @@ class IdentifyStage(Stage):
         self._drawn = 0
         self._show_live()
 
+    @override
     def progressed(self, job: Job) -> None:
         """Show output and progress."""
         super().progressed(job)
         self._show_live()
 
+    @override
     def finished(self, job: Job) -> None:
         """Show the results if there are any."""
         if self.state() == "done" and not job.stopped and job.exit_code == 0:

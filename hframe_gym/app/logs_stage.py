@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from nicegui import events, run, ui
+from typing_extensions import override
 
 from ..errors import InputError
 from ..machine import Machine
@@ -67,16 +68,19 @@ class LogsStage(Stage):
         self._span: tuple[Any, Any] | None = None
         self._window: tuple[float, float] | None = None
 
+    @override
     def missing(self) -> tuple[str, str] | None:
         """Return that a machine must come first."""
         if self.session.machine is None:
             return "machine", "Logs are read for a machine: its channels say what the columns can be."
         return None
 
+    @override
     def state(self) -> State:
         """Return whether there are runs."""
         return "done" if self.session.runs else ""
 
+    @override
     def commands(self) -> list[list[str]]:
         """Return the commands that import the logs."""
         aside = self.session.aside_command(RUNS, FINDINGS, RESULT, CONTROL, EXPORTS)
@@ -88,6 +92,7 @@ class LogsStage(Stage):
         )
         return [*aside, import_command(chosen)]
 
+    @override
     def show(self) -> None:
         """Build the stage."""
         upload = ui.upload(

@@ -6,6 +6,7 @@ from typing import Any
 
 from nicegui import events, ui
 from nicegui.element import Element
+from typing_extensions import override
 
 from ..dynamics import mode_frequencies
 from ..errors import InputError
@@ -54,6 +55,7 @@ class MachineStage(Stage):
         self._like = "hframe"
         self._values: dict[str, str] = {}
 
+    @override
     def state(self) -> State:
         """Return whether there is a machine."""
         try:
@@ -61,10 +63,12 @@ class MachineStage(Stage):
         except InputError:
             return "problem"
 
+    @override
     def commands(self) -> list[list[str]]:
         """Return the command that writes the machine."""
         return [*self.session.aside_command(*_OF_MACHINE), new_machine_command(self._like, self._values)]
 
+    @override
     def show(self) -> None:
         """Build the stage."""
         try:

@@ -6,6 +6,7 @@ import json
 from typing import Any
 
 from nicegui import ui
+from typing_extensions import override
 
 from ..identification.report.answers import tone_of_remainder, verdict_sentence
 from ..identification.report.saved_result import next_command
@@ -31,16 +32,19 @@ class ResultsStage(Stage):
     key, title, action = "results", "Results", "Build the report again"
     purpose = "What the machine lacks, how much of the error is left, and how sure that is."
 
+    @override
     def missing(self) -> tuple[str, str] | None:
         """Return that an identification must come first."""
         if self._report() is None:
             return "identify", "There is no result yet."
         return None
 
+    @override
     def state(self) -> State:
         """Return whether there is a result."""
         return "done" if self._report() is not None else ""
 
+    @override
     def commands(self) -> list[list[str]]:
         """Return the command that builds the report."""
         return [["report", RESULT]]
@@ -50,6 +54,7 @@ class ResultsStage(Stage):
         path = self.session.path(RESULT, "report.json")
         return json.loads(path.read_text(encoding="utf-8")) if path.exists() else None
 
+    @override
     def show(self) -> None:
         """Build the stage."""
         report = self._report()
@@ -77,5 +82,6 @@ class ResultsStage(Stage):
         heading("Command")
         self.command_box()
 
+    @override
     def _next(self) -> None:
         """Show no second way to the next stage."""

@@ -25,6 +25,7 @@ from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from ..arrays import Array, Mask, ParameterRows, TravelStates
 from ..dynamics import rollout
@@ -180,10 +181,12 @@ class ParameterFilter(ParameterEstimator):
         super().__init__(model, period, switch_s)
         self._covariance = np.zeros((0, self.size, self.size))
 
+    @override
     def _resize(self, batch: int) -> None:
         self.estimates = np.zeros((batch, self.size))
         self._covariance = np.zeros((batch, self.size, self.size))
 
+    @override
     def _correct(self, before: Array, after: Array, actions: Array, starts: Mask) -> None:
         simulated = self._simulate(self.estimates, before, actions)
         innovation = after / self._state_unit - simulated[0]
@@ -194,6 +197,7 @@ class ParameterFilter(ParameterEstimator):
         self.estimates = np.clip(self.estimates + np.einsum("bpa,ba->bp", K, innovation), -LARGEST, LARGEST)
         self._covariance = self._covariance - K @ PH.transpose(0, 2, 1)
 
+    @override
     def _restart(self, starts: Mask) -> None:
         self.estimates[starts], self._covariance[starts] = 0.0, np.diag(self._std**2)
 
@@ -226,6 +230,7 @@ class ParameterWindow(ParameterEstimator):
         self._limits[self._offsets] = LARGEST_OFFSET
         self._resize(0)
 
+    @override
     def _resize(self, batch: int) -> None:
         states, volts = len(self._state_unit), self._levels * len(self._model.rated)
         self.estimates, self.noise_ratio = np.zeros((batch, self.size)), np.ones(batch)
@@ -237,6 +242,7 @@ class ParameterWindow(ParameterEstimator):
         self._actions, self._valid = np.zeros((WINDOW, batch, volts)), np.zeros((WINDOW, batch))
         self._elapsed = np.zeros(batch, np.intp)
 
+    @override
     def _correct(self, before: Array, after: Array, actions: Array, starts: Mask) -> None:
         self._update_arrival_cost()
         for rows, new in ((self._before, before), (self._after, after), (self._actions, actions)):
@@ -249,6 +255,7 @@ class ParameterWindow(ParameterEstimator):
         if early.any():
             self._iterate(early)
 
+    @override
     def _restart(self, starts: Mask) -> None:
         self._elapsed = np.where(starts, 0, self._elapsed + 1)
         self.estimates[starts], self.noise_ratio[starts] = 0.0, 1.0

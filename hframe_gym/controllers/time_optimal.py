@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from typing_extensions import override
 
 from ..arrays import Array
 from ..dynamics import Equations
@@ -337,9 +338,11 @@ class _HeldProblem(TimeOptimalReach):
         super().__init__(machine, band=band, intervals=(last * PER_PERIOD, PER_PERIOD + holding))
 
     @property
+    @override
     def _duration_limits(self) -> tuple[float, float]:
         return self._window
 
+    @override
     def _grid(self, duration: Any) -> list[tuple[Any, Any]]:
         """Return begin and length of the intervals, s: equal parts of each period, two times those in the last one."""
         period, entry = self._period, self._last - 1
@@ -348,10 +351,12 @@ class _HeldProblem(TimeOptimalReach):
         parts += [((self._last + k) * period, period) for k in range(round(HOLD_S / period))]
         return [(b + j * (w / PER_PERIOD), w / PER_PERIOD) for b, w in parts for j in range(PER_PERIOD)]
 
+    @override
     def _continues_voltage(self, k: int) -> bool:
         """Return whether interval k has the voltages of the one before: not at the beginning of a period."""
         return k % PER_PERIOD != 0 or k == self._last * PER_PERIOD
 
+    @override
     def _guess(self, start: Array, goal: Array, time_s: float) -> Array:
         """Return an initial guess with T in the middle of its period, which `time_s` therefore does not change."""
         if self.warm_start is not None:

@@ -15,6 +15,7 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 from gymnasium.vector.utils import batch_space
+from typing_extensions import override
 
 from ..arrays import Array
 from ..effects import EFFECTS
@@ -199,6 +200,7 @@ class ObserveQuantities(_Recording):
         self._observed = _Observed(self._recorder.quantities.values())
         self.observation_space = self._observed.space(env.observation_space)
 
+    @override
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
@@ -312,6 +314,7 @@ class VectorObserveQuantities(_VectorRecording):
         self.single_observation_space = self._observed.space(env.single_observation_space)
         self.observation_space = batch_space(self.single_observation_space, env.num_envs)
 
+    @override
     def reset(self, **keywords: Any) -> tuple[Any, dict[str, Any]]:
         """Begin episodes, as the environments do."""
         observation, info = super().reset(**keywords)

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from ..arrays import Array
 from ..atomic_files import atomic_file
@@ -46,6 +47,7 @@ class _StageView(Renderer):
         super().__init__(scenario.declared_machine, "rgb_array", FRAMES_PER_S)
         self.surface = self._surface
 
+    @override
     def _output(self) -> NDArray[np.uint8] | None:
         """Keep the picture in the surface instead of copying it to an array."""
         return None

@@ -31,6 +31,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from ..arrays import Array
 from ..controllers import CONTROLLERS, Controller, OutputFeedbackController, StateEstimator
@@ -240,6 +241,7 @@ class _Timed(Controller):
         super().__init__(controller.machine, controller.period)
         self.controller, self.cpu_s, self.actions = controller, 0.0, 0
 
+    @override
     def act(self, observation: Mapping[str, NDArray[Any]]) -> Array:
         """Return the controller's actions."""
         start = time.process_time()
@@ -248,6 +250,7 @@ class _Timed(Controller):
         self.actions += len(actions)
         return actions
 
+    @override
     def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
         """Reset the controller."""
         self.controller.reset(mask)

@@ -14,6 +14,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from ..atomic_files import atomic_file, output_batch
 from ..errors import InputError
@@ -104,6 +105,7 @@ class MachineExporter(Exporter):
         """
         return self.machine if isinstance(self.machine, Machine) else load_machine(self.machine)
 
+    @override
     def write(self, out: str | Path, log: Callable[[str], None] = lambda line: None) -> None:
         """Write the files of the export.
 

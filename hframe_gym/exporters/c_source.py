@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+from typing_extensions import override
 
 from ..machine import Machine
 from .base import EXPORTERS, Files, MachineExporter, option
@@ -43,6 +44,7 @@ class CExporter(MachineExporter):
     period: float = option(0.01, "Control period of the PID in seconds, 1e-5 to 10.")
     prefix: str = option("stage", "Beginning of the names of files and functions.")
 
+    @override
     def files(self, machine: Machine) -> Files:
         """Return header, source and test bench."""
         prefix = check_prefix(self.prefix)

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from typing_extensions import override
+
 from ..errors import InputError
 from ..machine import Machine
 from .base import EXPORTERS, Exporter, argument, option
@@ -42,6 +44,7 @@ class DatasetExporter(Exporter):
         False, "Store reference scores: mean returns of random actions and of the controller predictive."
     )
 
+    @override
     def write(self, out: str | Path, log: Callable[[str], None] = lambda line: None) -> None:
         """Write the data sets; each appears when it is complete."""
         from ..evaluation import Scenario, dataset_controller, export_dataset

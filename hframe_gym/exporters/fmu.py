@@ -15,6 +15,8 @@ from importlib import resources
 from typing import NamedTuple
 from xml.sax.saxutils import quoteattr
 
+from typing_extensions import override
+
 from ..dynamics import Equations, MotionPoint, resolved_step
 from ..dynamics.physics.parameterized_machine import Value
 from ..dynamics.simulation import LONGEST_STEP
@@ -45,6 +47,7 @@ class FmuExporter(MachineExporter):
     Example:  hframe export fmu --machine hframe --out stage.fmu
     """
 
+    @override
     def files(self, machine: Machine) -> Files:
         """Return the archive."""
         refuse_drive_laws(machine, "an FMU")

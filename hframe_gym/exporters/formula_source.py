@@ -14,6 +14,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from typing_extensions import override
+
 from ..dynamics.symbolic.expressions import Expression
 from ..dynamics.symbolic.tracing import Trace
 from ..errors import InputError
@@ -28,6 +30,7 @@ _INFIX = (*_CONDITIONS, "+", "-", "*", "/", "neg", "fma", "where")  # not writte
 class FormulaTrace(Trace):
     """Trace of a formula without statements; what a kernel would skip by a branch is always evaluated."""
 
+    @override
     def update_if_any(
         self, condition: Any, values: Sequence[Any], update: Callable[[Sequence[Any]], Sequence[Any]]
     ) -> list[Any]:
@@ -188,10 +191,12 @@ class C99(Language):
         "maximum": "fmax",
     }
 
+    @override
     def number(self, text: str) -> str:
         """Return a number; Python's notation is that of C."""
         return text
 
+    @override
     def operation(self, name: str, operands: Sequence[str]) -> str:
         """Return an operation in C."""
         if name == "neg":
@@ -208,6 +213,7 @@ class C99(Language):
         self.helpers.add(name)
         return f"{self.prefix}_{name}({', '.join(map(_unbracketed, operands))})"
 
+    @override
     def assignment(self, target: str, value: str, *, kind: str) -> str:
         """Return a declaration or an assignment in C."""
         declared = {"number": "const double ", "condition": "const int ", "output": ""}[kind]
@@ -225,11 +231,13 @@ class StructuredText(Language):
         "maximum": "MAX",
     }
 
+    @override
     def number(self, text: str) -> str:
         """Return a number; a literal of Structured Text has a decimal point."""
         mantissa, sign, exponent = text.partition("e")
         return (mantissa if "." in mantissa else f"{mantissa}.0") + sign.upper() + exponent
 
+    @override
     def operation(self, name: str, operands: Sequence[str]) -> str:
         """Return an operation in Structured Text."""
         if name == "neg":
@@ -251,6 +259,7 @@ class StructuredText(Language):
         self.helpers.add(name)
         return f"{self.prefix}_{name}({', '.join(inside)})"
 
+    @override
     def assignment(self, target: str, value: str, *, kind: str) -> str:
         """Return an assignment in Structured Text; names are declared before the body."""
         return f"{target} := {value};"

@@ -6,6 +6,7 @@ import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
+from typing_extensions import override
 
 from ..arrays import Array
 from ..dynamics import Equations, MotionPoint
@@ -38,6 +39,7 @@ class FrictionMapExporter(MachineExporter):
         3600.0, "Time since the machine was switched on, s, for effects that change as it warms up."
     )
 
+    @override
     def files(self, machine: Machine) -> Files:
         """Return the table."""
         header = self.header(

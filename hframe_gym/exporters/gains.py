@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from typing_extensions import override
 
 from ..controllers import ModelBasedController, TextbookPID
 from ..machine import Machine
@@ -60,6 +61,7 @@ class GainsExporter(MachineExporter):
     period: float = option(0.01, "Control period in seconds, 1e-5 to 10.")
     at: list[str] | None = option(None, "Goal for which the state feedback is designed, as AXIS=METERS.")
 
+    @override
     def files(self, machine: Machine) -> Files:
         """Return the files with the gains."""
         require_linear_axes(machine, "the table of gains")

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from typing_extensions import override
+
 from ..machine import Machine
 from .base import EXPORTERS, Files, commented, option
 from .input_shapers import InputShaperExporter, Shaper, impulse_table
@@ -23,6 +25,7 @@ class KlipperExporter(InputShaperExporter):
         "mzv", "Shaper: zv (shortest), mzv, or ei (tolerates the largest error of the frequency)."
     )
 
+    @override
     def files(self, machine: Machine) -> Files:
         """Return the section for printer.cfg and the table of impulses."""
         found = self.axis_modes(machine)

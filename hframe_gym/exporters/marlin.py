@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from typing_extensions import override
+
 from ..machine import Machine
 from .base import EXPORTERS, Files, commented
 from .input_shapers import InputShaperExporter
@@ -19,6 +21,7 @@ class MarlinExporter(InputShaperExporter):
     Example:  hframe export marlin --machine corexy --out out/marlin
     """
 
+    @override
     def files(self, machine: Machine) -> Files:
         """Return the G-code and the lines of the configuration."""
         found = self.axis_modes(machine)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from typing_extensions import override
+
 from ..errors import InputError
 from ..machine import Machine
 from .base import EXPORTERS, Files, MachineExporter, indented, operating_point, option, xml_comment
@@ -33,6 +35,7 @@ class MjcfExporter(MachineExporter):
         "stiff", "stiff: as close to dry friction as MuJoCo allows; default: MuJoCo's defaults, which creep."
     )
 
+    @override
     def files(self, machine: Machine) -> Files:
         """Return the model."""
         if not _STEP_LIMITS[0] <= self.step <= _STEP_LIMITS[1]:

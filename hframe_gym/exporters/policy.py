@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from typing_extensions import override
 
 from ..atomic_files import atomic_file, output_batch
 from ..errors import InputError
@@ -41,6 +42,7 @@ class PolicyExporter(Exporter):
     agent: str = argument("A shipped agent ({agents}) or the folder of a trained agent.")
     task: str = option("reach", "Task of a shipped agent: {tasks}.")
 
+    @override
     def write(self, out: str | Path, log: Callable[[str], None] = lambda line: None) -> None:
         """Write the files together."""
         out = Path(out)

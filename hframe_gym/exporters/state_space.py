@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from typing_extensions import override
 
 from ..machine import Machine, rest_positions_per_axis
 from .base import EXPORTERS, Files, MachineExporter, commented, json_text, operating_point, option, plain
@@ -30,6 +31,7 @@ class StateSpaceExporter(MachineExporter):
         None, "Operating point as AXIS=METERS, for example x=0.1; repeat for more axes."
     )
 
+    @override
     def files(self, machine: Machine) -> Files:
         """Return the files with the matrices and with the modes."""
         position = operating_point(machine, self.at)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+from typing_extensions import override
+
 from ..machine import Machine
 from .base import EXPORTERS, Files, MachineExporter, option
 from .formula_source import Formula, Parameter, Signal, StructuredText, write_body
@@ -34,6 +36,7 @@ class StructuredTextExporter(MachineExporter):
     period: float = option(0.01, "Control period of the PID in seconds, 1e-5 to 10.")
     prefix: str = option("stage", "Beginning of the names of functions and function blocks.")
 
+    @override
     def files(self, machine: Machine) -> Files:
         """Return the source file."""
         prefix = check_prefix(self.prefix)

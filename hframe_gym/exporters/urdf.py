@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
+from typing_extensions import override
 
 from ..errors import InputError
 from ..machine import Coordinate, Machine, motion_limits, rigid_motions
@@ -26,6 +27,7 @@ class UrdfExporter(MachineExporter):
     Example:  hframe export urdf --machine corexy --out stage.urdf
     """
 
+    @override
     def files(self, machine: Machine) -> Files:
         """Return the URDF."""
         axes = tool_coordinates(machine)

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from typing_extensions import override
+
 from ..physics.equations import ForceBalance
 from ..symbolic.elementwise import absolute, where
 from ..symbolic.expressions import Expression, function_source
@@ -62,10 +64,12 @@ class _StepBack(StepTrace):
             _add_to_rows(trace, loaded, found)
         trace.drop_unused_branches()
 
+    @override
     def _voltages(self) -> list[Expression]:
         """Return the commanded voltage of each drive in this step."""
         return [self.trace.load("inputs", j, f"u{j}") for j in range(len(self.source.machine.drives))]
 
+    @override
     def _initial_speed(self, i: int, balance: ForceBalance) -> Expression:
         """Return the speed of coordinate i; a held one counts as zero, because a small speed would stop at once."""
         speed = self.speed[i]
@@ -74,6 +78,7 @@ class _StepBack(StepTrace):
         held = (speed == 0.0) & (absolute(balance.forces[i]) < balance.coulomb[i])
         return where(held, 0.0, speed)  # type: ignore[no-any-return]
 
+    @override
     def _stops(
         self, balance: ForceBalance, flows: Sequence[tuple[Expression, Expression, Expression]]
     ) -> list[tuple[Expression, Expression]]:

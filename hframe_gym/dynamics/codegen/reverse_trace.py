@@ -16,6 +16,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from typing_extensions import override
+
 from ..physics import friction
 from ..symbolic.elementwise import copysign, cos, fma, sin, where
 from ..symbolic.expressions import Expression, Statement
@@ -100,6 +102,7 @@ class ReverseTrace(Trace):
         self.stored: dict[tuple[str, int], Expression] = {}
         self._guards: list[_Guard] = []
 
+    @override
     def node(self, operation: str, *operands: Any) -> Expression:
         """Return the expression of an operation, as in `Trace`; formulas of friction become their operations."""
         if operation in _EXPANDED:
@@ -116,12 +119,14 @@ class ReverseTrace(Trace):
         static = super().node("static_friction", f, coulomb)
         return where(v == 0.0, static, copysign(coulomb, v))  # type: ignore[no-any-return]
 
+    @override
     def load(self, array: str, row: int | str, name: str, *, invariant: bool = True) -> Expression:
         """Return the expression that loads a row of an array argument, as in `Trace`."""
         value = super().load(array, row, name, invariant=invariant)
         self.loaded[array, int(row)] = value
         return value
 
+    @override
     def store(self, array: str, row: int | str, value: Any) -> None:
         """Keep a result of the function, whose derivatives `adjoints` computes."""
         self.stored[array, int(row)] = self.expression(value)
@@ -170,14 +175,17 @@ class ReverseTrace(Trace):
         """
         super().store(array, row, self.read(array, row) + value)
 
+    @override
     def variable(self, role: str, index: int | None, value: Expression) -> Expression:
         """Return the value itself, with a name: no value changes here."""
         return self.let(role, index, value)
 
+    @override
     def assign(self, variable: Expression, value: Expression) -> Expression:
         """Return the new value itself: no value changes here."""
         return value
 
+    @override
     def update_if_any(
         self, condition: Expression, values: Sequence[Any], update: Callable[[Sequence[Any]], Sequence[Any]]
     ) -> list[Expression]:

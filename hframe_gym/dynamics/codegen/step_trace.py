@@ -18,6 +18,8 @@ from dataclasses import dataclass
 from functools import reduce
 from typing import Protocol
 
+from typing_extensions import override
+
 from ...machine import Machine
 from ..physics.belts import combination
 from ..physics.equations import Equations, ForceBalance
@@ -88,14 +90,17 @@ class _PreparedEquations(Equations):
         row = self._rows[row_name(component, index, key)]
         return self._trace.load("derived", row, f"{key}_{index}")
 
+    @override
     def coulomb(self, i: int) -> Expression:
         """Return the expression of the Coulomb friction force of coordinate i along its belt travel, N."""
         return self.derived("coordinate", i, "coulomb")
 
+    @override
     def force_per_volt(self, j: int) -> Expression:
         """Return the expression of the force of drive j per volt at standstill along the belt travel, N/V."""
         return self.derived("drive", j, "force_per_volt")
 
+    @override
     def constant_stiffness(self, b: int) -> Expression:
         """Return the expression of the stiffness EA / rest length of belt b, N/m."""
         return self.derived("belt", b, "stiffness")

@@ -87,11 +87,13 @@ class Track(Task):
         _ = self._curves  # refuses a path that cannot be read when the task is made, not at the first reset
 
     @property
+    @override
     def ahead_s(self) -> tuple[float, ...]:
         """Time from now to each future goal in the observation `preview`, s, ascending."""
         return tuple(self.preview_s * (i + 1) for i in range(self.previews))
 
     @property
+    @override
     def parameters(self) -> dict[str, float]:
         """Nominal value of the only parameter that can be randomized: `speed`, m/s."""
         return {"speed": self.speed}
