@@ -303,7 +303,7 @@ def _memoryless(effect: AppliedEffect) -> bool:
     """Return whether an effect's forces and friction depend on its coordinate's position, velocity and time only."""
     hooks = [getattr(effect.definition, name) for name in ("force", "coulomb", "viscous")]
     arguments = {name for hook in hooks if hook for name in argument_names(hook)}
-    return any(hooks) and not {"z", "u", "i", "drive"} & arguments
+    return any(hooks) and not {"z", "u", "i", "drive", "load"} & arguments
 
 
 def _stack(values: Sequence[Any], state: Array) -> Array:

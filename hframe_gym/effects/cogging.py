@@ -1,7 +1,4 @@
-"""Torque that varies with the angle of the motor, A sin(n q + p): detent torque, or the teeth of a belt.
-
-The teeth of a belt of pitch t on a pulley of radius r have n = 2 pi r / t.
-"""
+"""Torque that varies with the angle of the motor, A sin(n q + p): detent torque."""
 
 from ..dynamics.elementwise import sin
 from ..machine import Effect, EffectParameter

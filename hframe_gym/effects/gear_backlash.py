@@ -1,8 +1,9 @@
 """Backlash of the gear between a motor, whose angle the encoder measures, and the pulley or load behind it.
 
 The coordinate of the drive becomes the motor's side of the gap; the belts act on a coordinate behind it, with the
-inertia J and the dry friction F, which the motor's side loses. The teeth have the stiffness K and push where the
-angles of both sides differ by more than d, half the gap. Their damping ratio Z ends the rebounds.
+inertia J, the dry friction F and the viscous friction B, which the motor's side loses. The teeth have the stiffness K
+and push where the angles of both sides differ by more than d, half the gap. Their damping ratio Z, from 0 (elastic) to
+1 (without rebound), ends the rebounds.
 """
 
 import dataclasses
@@ -49,7 +50,7 @@ def fits_site(machine: Machine, site: str) -> bool:
 def structure(machine: Machine, effect: AppliedEffect) -> Machine:
     """Add the coordinate behind the gap and the teeth, and let the belts run on the new coordinate.
 
-    Its inertia and dry friction and the stiffness of the teeth are tied to J, F and K; it has no viscous friction.
+    Its inertia and friction and the stiffness of the teeth are tied to J, F, B and K.
     """
     near, far, teeth = _names(machine, effect.site)
     whole, values = machine.coordinate(near), effect.parameters
@@ -57,12 +58,13 @@ def structure(machine: Machine, effect: AppliedEffect) -> Machine:
         whole,
         mass=max(whole.mass - values["J"], _LEAST_SHARE * whole.mass),
         coulomb=max(whole.coulomb - values["F"], _LEAST_SHARE * whole.coulomb),
+        viscous=max(whole.viscous - values["B"], _LEAST_SHARE * whole.viscous),
     )
-    load = Coordinate(far, values["J"], 0.0, values["F"], kind=whole.kind, radius=whole.radius)
+    load = Coordinate(far, values["J"], values["B"], values["F"], kind=whole.kind, radius=whole.radius)
     per_travel = 1.0 / whole.travel_per_unit**2
     ties = {
         f"{far}.mass": (f"{effect.label}.J", 1.0),
-        f"{far}.viscous": (f"{effect.label}.F", 0.0),
+        f"{far}.viscous": (f"{effect.label}.B", 1.0),
         f"{far}.coulomb": (f"{effect.label}.F", 1.0),
         f"{far}.radius": (f"{near}.radius", 1.0),
         f"{teeth}.EA": (f"{effect.label}.K", per_travel),
@@ -89,7 +91,7 @@ EFFECT = Effect(
     site="motor",
     belt="{site}_teeth",
     half_gap="d",
-    formula="J far'' + F sign(far') = K u + 2 Z sqrt(K J) u' - belts, u = s - clip(s, -d, d), s = motor - far",
+    formula="J far'' + B far' + F sign(far') = K u + 2 Z sqrt(K J) u' - belts, u = s - clip(s, -d, d), s = motor - far",
     source="Nordin and Gutman 2002, Automatica 38(10), the dead-zone model",
     tension=tension,
     structure=structure,
@@ -100,7 +102,8 @@ EFFECT = Effect(
         EffectParameter("d", "position", 0.0, 1.0, scale=1e-4, grid=(1e-4, 5e-4)),
         EffectParameter("J", "mass", 1e-12, 1e3, scale=0.1, grid=(0.05, 0.4)),
         EffectParameter("F", "force", 0.0, 1e3, scale=0.1, grid=(0.01,)),
+        EffectParameter("B", "viscous", 0.0, 1e3, scale=0.1, grid=(0.1,)),
         EffectParameter("K", "stiffness", 1e-6, 1e12, scale=1e4, grid=(2e4,)),
-        EffectParameter("Z", "1", 0.0, 1.0, scale=1.0, grid=(0.3,)),
+        EffectParameter("Z", "1", 0.0, 1.0, scale=1.0, grid=(1.0,)),
     ),
 )

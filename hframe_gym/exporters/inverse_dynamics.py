@@ -32,7 +32,7 @@ Values = Mapping[str, Any] | None
 BISECTIONS = 64  # halvings of the range of a command: the result is exact to rounding
 _ROUNDING = 1e-9  # relative; coefficients of the kinematics closer to an integer than this are integers
 _FORCE_HOOKS = ("force", "coulomb", "viscous")
-_MEMORY = {"z", "i", "drive"}  # arguments of hooks that the motion alone does not determine
+_MEMORY = {"z", "i", "drive", "load"}  # arguments of hooks that the motion alone does not determine
 
 
 class InverseDynamics:
@@ -42,7 +42,7 @@ class InverseDynamics:
         axes: Names of the tool's axes.
         rigid: Belt travel of every coordinate per travel of each axis, m/m, shape (coordinates, axes).
         left_out: Labels of effects that the formulas do not contain: those with a memory, on belts and sensors, delays,
-            and friction that grows with the drive force.
+            and forces that grow with those of drives or belts.
         limits: Largest command of each drive, V, shape (drives,).
 
     Raises:

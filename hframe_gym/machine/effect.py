@@ -24,7 +24,7 @@ SiteKind = Literal["coordinate", "motor", "drive", "drives", "belts", "sensor", 
 Hook = Callable[..., Any]
 #: The hooks, with the quantities that each may take as arguments; the docstring of `Effect` describes them.
 HOOKS: Mapping[str, tuple[str, ...]] = {
-    "force": ("q", "v", "t", "z", "u", "m", "net", "friction"),
+    "force": ("q", "v", "t", "z", "u", "load", "m", "net", "friction"),
     "reaction": ("q", "v", "m"),
     "active_region": ("q", "v", "t"),
     "coulomb": ("q", "v", "t", "z", "u", "level", "drive"),
@@ -125,7 +125,8 @@ class Effect:
     receives: parameters of the effect, by their names, and quantities of the last column, by their symbols:
 
     hook                returns                                                      arguments
-    force               force added to the coordinate, N or Nm                       q, v, t, z, u, m, net, friction
+    force               force added to the coordinate, N or Nm                       q, v, t, z, u, load, m, net,
+                                                                                     friction
     reaction            force of an added coordinate on that at the site, N or Nm    q, v, m
     active_region       where the force may differ from zero (default: everywhere)   q, v, t
     coulomb             change of the Coulomb friction force, N or Nm (sum >= 0)     q, v, t, z, u, level, drive
@@ -152,8 +153,8 @@ class Effect:
 
     - Coordinate: q, v: position and speed, m or rad, m/s or rad/s; per_radius: 1/radius of a pulley, 1/m; b: viscous
       coefficient without the effect, Ns/m or Nms; direction: sign of the motion, +1 or -1; level: Coulomb friction
-      force with the effects on it, N or Nm; drive: force of its drives, N or Nm. For a force on a coordinate that
-      `structure` adds, if it has the argument net: net, friction: net force and friction (dry and viscous) on the
+      force with the effects on it, N or Nm; drive, load: force of its drives and of its belts, N or Nm (load only
+      without an `active_region`). For a force on a coordinate that `structure` adds, if it has the argument net: net, friction: net force and friction (dry and viscous) on the
       coordinate at the site, N or Nm; m: mass of the added coordinate, kg or kg m^2. For `reaction`, q, v, m are those
       of the added coordinate.
     - Effect: z: its state, 0 when a simulation starts; u: the variable that `against` names; t: time since the machine

@@ -6,6 +6,7 @@ Each effect has a single site, so that all its tests use one compiled kernel.
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -136,6 +137,12 @@ _CASES = (
         {"wave_force": _turned(0.03), "wave_number": (23.6,) * 4, "wave_phase": _turned(0.5)},
     ),
     Case(
+        "belt_mesh",
+        "motor2",
+        {"A": 0.0194 * 1.5, "n": 2.0 * math.pi * 0.0194 / 1e-2, "p": 0.5, "T0": 0.0194 * 20.0},
+        {"mesh_force_N": (0.0, 1.5), "mesh_pitch_m": (1e-2, 1e-2), "mesh_phase": (0.0, 0.5)},
+    ),
+    Case(
         "second_cogging",
         "motor1",
         {"A": 0.02, "n": 47.2, "p": 1.5},
@@ -181,15 +188,22 @@ _CASES = (
     Case("electrical_lag", "motor2", {"tau": 1.5e-3}, {"electrical_lag_s": (0.0, 1.5e-3)}),
     Case("input_delay", "drives", {"d": 2.3e-3}, {"input_delay_s": (2.3e-3, 2.3e-3)}),
     Case("belt_play", "belts", {"d": 0.15e-3}, {"belt_play_m": 0.15e-3}),
-    # The far side has 0.3 of the motor's inertia and friction, all viscous friction is on the motor's side.
+    # The far side has 0.3 of the motor's inertia and dry friction, and 0.2 of its viscous friction.
     Case(
         "gear_backlash",
         "motor1",
-        {"d": 2e-3, "J": 0.3 * Rig().mass[2], "F": 0.3 * Rig().coulomb[2], "K": 100.0, "Z": 0.4},
+        {
+            "d": 2e-3,
+            "J": 0.3 * Rig().mass[2],
+            "F": 0.3 * Rig().coulomb[2],
+            "B": 0.2 * Rig().viscous[2],
+            "K": 100.0,
+            "Z": 0.4,
+        },
         {
             "backlash_rad": (2e-3, 0.0),
             "backlash_motor_fraction": 0.7,
-            "backlash_motor_viscous": 1.0,
+            "backlash_motor_viscous": 0.8,
             "backlash_stiffness": 100.0,
             "backlash_damping": 0.4,
         },

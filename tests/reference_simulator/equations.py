@@ -241,7 +241,7 @@ def _add_belts(
         dz[5 * n + 6 + j] = -d.belt_creep * transmitted[j]
         if d.mesh_force_N != 0.0:
             radius = coordinates[2 + j].radius
-            wave = math.sin(2.0 * math.pi * radius * z[2 + j] / d.mesh_pitch_m)
+            wave = math.sin(2.0 * math.pi * radius * z[2 + j] / d.mesh_pitch_m + d.mesh_phase)
             force[2 + j] += (
                 radius * d.mesh_force_N * (1.0 + abs(transmitted[j]) / stage.mesh_tension_N) * wave
             )

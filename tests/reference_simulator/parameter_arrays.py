@@ -30,6 +30,7 @@ _OF_DRIVE += [
     "belt_creep",
     "mesh_force_N",
     "mesh_pitch_m",
+    "mesh_phase",
 ]
 _SCALARS = ["belt_play_m", "belt_damping_s", "belt_pretension_N", "belt_hardening", "belt_energy_force"]
 _SCALARS += ["belt_relaxation", "belt_relaxation_s", "mesh_tension_N", "supply_V", "supply_ohm", "supply_s"]

@@ -190,6 +190,7 @@ class Rig:
     # Teeth of a motor's pulley: force A (1 + |transmitted force| / T) sin(2 pi r phi / pitch) on the belt.
     mesh_force_N: PerDrive = (0.0, 0.0)  # A
     mesh_pitch_m: PerDrive = (0.002, 0.002)
+    mesh_phase: PerDrive = (0.0, 0.0)
     mesh_tension_N: float = 20.0  # T
 
     # Bodies beyond the 8th-order model.

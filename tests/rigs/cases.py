@@ -106,6 +106,7 @@ SITES: dict[str, tuple[str, ...]] = {
     "position_friction": ("x", "phi2"),
     "friction_slope": ("x",),
     "cogging": ("motor1", "motor2"),
+    "belt_mesh": ("motor2",),
     "unbalance": ("phi2",),
     "load_friction": ("motor1",),
     "eccentric_pulley": ("motor2",),

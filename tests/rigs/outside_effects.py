@@ -419,6 +419,7 @@ IN_LIBRARY = frozenset(
         "winding heat",
         "gear backlash",
         "dwell friction",
+        "belt mesh",
         "payload swing",
         "scale interpolation",
         "eccentric encoder",

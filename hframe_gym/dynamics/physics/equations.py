@@ -84,6 +84,11 @@ class Equations(SignalEquations):
             result[i] = fma(self.force_per_volt(j), voltage, result[i])
         return result
 
+    def _standstill_force(self, i: int, motor_voltages: Sequence[Value]) -> Value:
+        """Return what `add_drive_forces` adds to the force on coordinate i, N."""
+        none = [0.0] * len(self.machine.coordinates)
+        return self.add_drive_forces(none, motor_voltages)[i]
+
     def ohmic_current(self, j: int, point: MotionPoint, motor_voltage: Value) -> Value:
         """Return the current (V - Ke N w) / R of drive j, A, without inductance (eq. 17 of Sollmann et al. 2010).
 
@@ -207,7 +212,11 @@ class Equations(SignalEquations):
                 level = 0.0
             for k, e in self.effects_on("force", i):
                 if not e.definition.active_region and not _needs_net_force(e):
-                    force = force + self._force_of(k, i, point)
+                    quantities = self._with_state(k, i, point)
+                    if "load" in argument_names(e.definition.force):
+                        of_drives = self._standstill_force(i, motor_voltages)
+                        quantities |= {"load": (forces[i] - of_drives) * self.radius(i)}
+                    force = force + self.evaluate(e, "force", quantities) * self.per_radius(i)
             for change in changes:
                 force = force + change * self.per_radius(i)
             totals.append(force)

@@ -44,8 +44,8 @@ _TRIAL_ITERATIONS, _TRIAL_TOLERANCE = 8, 1e-3  # a trial need not converge fully
 def trial_fits(current: Fit, data: Dataset, enough: float, criteria: SelectionCriteria) -> list[Fit]:
     """Fit the machine with each of the most promising effects (deviations from the model), one at a time.
 
-    A linearized model ranks the candidates by the reduction of chi-squared; the best few are fitted. If a parameter is
-    at its limit, or no candidate is promising although much error is left, the fit without candidates may be in a local
+    A linearized model ranks the candidates by the reduction of chi-squared; the best few are fitted. If a parameter of
+    the machine is at its limit, or no candidate is promising although much error is left, the fit without candidates may be in a local
     minimum. The candidates are then also ranked at the declared parameters and fitted from there.
 
     Args:
@@ -60,7 +60,8 @@ def trial_fits(current: Fit, data: Dataset, enough: float, criteria: SelectionCr
         (chi-squared). One per effect and component, two where effects are also fitted from the declared parameters.
     """
     trials = _trial_fits_from(current, current, data, enough, criteria)
-    at_limit = any(f.at_limit(t) for f, t in zip(current.free, current.theta, strict=True))
+    # Those of effects stay as they are where the machine's begin anew.
+    at_limit = any(f.at_limit(t) for f, t in zip(current.free, current.theta, strict=True) if not f.of_effect)
     if judge.may_be_local_minimum(
         current.error, criteria, any_trial=bool(trials), parameter_at_limit=at_limit
     ):
