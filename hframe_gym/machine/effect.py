@@ -154,9 +154,9 @@ class Effect:
     - Coordinate: q, v: position and speed, m or rad, m/s or rad/s; per_radius: 1/radius of a pulley, 1/m; b: viscous
       coefficient without the effect, Ns/m or Nms; direction: sign of the motion, +1 or -1; level: Coulomb friction
       force with the effects on it, N or Nm; drive, load: force of its drives and of its belts, N or Nm (load only
-      without an `active_region`). For a force on a coordinate that `structure` adds, if it has the argument net: net, friction: net force and friction (dry and viscous) on the
-      coordinate at the site, N or Nm; m: mass of the added coordinate, kg or kg m^2. For `reaction`, q, v, m are those
-      of the added coordinate.
+      without an `active_region`). For a force on a coordinate that `structure` adds, if it has the argument net: net,
+      friction: net force and friction (dry and viscous) on the coordinate at the site, N or Nm; m: mass of the added
+      coordinate, kg or kg m^2. For `reaction`, q, v, m are those of the added coordinate.
     - Effect: z: its state, 0 when a simulation starts; u: the variable that `against` names; t: time since the machine
       was switched on, s; dt: length of a step, s; dq: distance that the coordinate moves in dt, m or rad;
       dv: change of its speed in dt, m/s or rad/s, 0 where it is not known.

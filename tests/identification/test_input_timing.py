@@ -85,6 +85,12 @@ def test_a_delay_that_the_observer_hides_is_added(script: Script) -> None:
     assert "300 rad/s" in script.lines[-1]
 
 
+def test_delays_and_lags_of_the_library() -> None:
+    """Not what changes the current slowly, such as heat."""
+    timing = {name for name, effect in EFFECTS.items() if input_timing._is_timing(effect)}
+    assert timing == {"input_delay", "electrical_lag"}
+
+
 def test_an_equally_good_lag_is_its_rival(script: Script) -> None:
     script.lag = 9.01
     assert script.run().selected[1].rivals == ("electrical_lag@motor",)

@@ -45,8 +45,8 @@ def trial_fits(current: Fit, data: Dataset, enough: float, criteria: SelectionCr
     """Fit the machine with each of the most promising effects (deviations from the model), one at a time.
 
     A linearized model ranks the candidates by the reduction of chi-squared; the best few are fitted. If a parameter of
-    the machine is at its limit, or no candidate is promising although much error is left, the fit without candidates may be in a local
-    minimum. The candidates are then also ranked at the declared parameters and fitted from there.
+    the machine is at its limit, or no candidate is promising although much error is left, the fit without candidates
+    may be in a local minimum. The candidates are then also ranked at the declared parameters and fitted from there.
 
     Args:
         current: Fit without candidates; the trials have its observer bandwidth.

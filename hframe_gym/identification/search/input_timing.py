@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from ...machine import Effect
+from ...machine import Effect, argument_names
 from ...preparation.dataset import Dataset
 from ..evidence.held_out import held_out_gain, is_excited
 from ..evidence.machine_validation import validation_fault
@@ -100,8 +100,12 @@ def with_input_timing(
 
 
 def _is_timing(effect: Effect) -> bool:
-    """Return whether an effect delays the voltages or lets the currents lag behind them."""
-    return effect.delay is not None or (effect.current is not None and effect.next_state is not None)
+    """Return whether an effect delays the voltages or lets the currents lag behind them.
+
+    The current that lags is the state itself; heat or a sagging supply change the current that follows at once.
+    """
+    lags = effect.current is not None and effect.next_state is not None
+    return effect.delay is not None or (lags and "i" not in argument_names(effect.current))
 
 
 def _trials(current: Fit, data: Dataset) -> Iterator[Fit]:
