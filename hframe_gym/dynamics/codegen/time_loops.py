@@ -118,9 +118,15 @@ def copy_lanes(block: int, i: int, rows, table) -> None:
         rows: Values of the block (states or readings, any unit), shape (k or more, LANES); the first k rows are copied.
         table: Output for B machines and n samples, in the unit of the rows, shape (B, n, k); if empty, nothing is done.
     """
-    for lane in range(min(LANES, table.shape[0] - block * LANES)):
-        for k in range(table.shape[2]):
-            table[block * LANES + lane, i, k] = rows[k, lane]
+    first = block * LANES
+    if first + LANES <= table.shape[0]:  # a constant number of machines: twice as fast
+        for lane in range(LANES):
+            for k in range(table.shape[2]):
+                table[first + lane, i, k] = rows[k, lane]
+    else:
+        for lane in range(table.shape[0] - first):
+            for k in range(table.shape[2]):
+                table[first + lane, i, k] = rows[k, lane]
 
 
 @compiled_only
@@ -151,25 +157,35 @@ def delay_readings(time, i: int, sensor_delays, past_readings, reading) -> None:
 
 
 @compiled_only
-def inject_outputs(block: int, i: int, machines: int, measured, gains, reading, state) -> None:
+def inject_outputs(block: int, i: int, measured, gains, reading, innovation, state) -> None:
     """Correct the states of a block by measurements, as an observer does.
 
-    The correction gains @ (measured - reading) is added to the state (output injection).
+    The correction gains @ (measured - reading) is added to the state (output injection). The innermost loops go over
+    all lanes, so that they are vector instructions.
 
     Args:
-        machines: Number of machines B.
         measured: Measurements, m or rad, shape (1 or B, n, sensors), NaN where not measured.
         gains: Change of belt travel (m) and of its rate (m/s) per m or rad of error, shape (2 * coordinates, sensors).
         reading: Simulated readings, m or rad, shape (sensors, LANES).
+        innovation: Room for the differences of one sensor, m or rad, shape (LANES,).
         state: State, corrected in place, shape (rows, LANES).
     """
-    for lane in range(min(LANES, machines - block * LANES)):
-        for j in range(reading.shape[0]):
-            measurement = measured[block * LANES + lane if measured.shape[0] > 1 else 0, i, j]
-            if np.isfinite(measurement):
-                innovation = measurement - reading[j, lane]
-                for k in range(gains.shape[0]):
-                    state[k, lane] += gains[k, j] * innovation
+    for j in range(reading.shape[0]):
+        if measured.shape[0] == 1:
+            measurement = measured[0, i, j]
+            if not np.isfinite(measurement):
+                continue
+            for lane in range(LANES):
+                innovation[lane] = measurement - reading[j, lane]
+        else:
+            for lane in range(LANES):
+                measurement = measured[min(block * LANES + lane, measured.shape[0] - 1), i, j]
+                innovation[lane] = measurement - reading[j, lane] if np.isfinite(measurement) else 0.0
+        for k in range(gains.shape[0]):
+            gain = gains[k, j]
+            if gain != 0.0:  # most sensors correct one coordinate
+                for lane in range(LANES):
+                    state[k, lane] += gain * innovation[lane]
 
 
 @compiled_only
@@ -269,6 +285,7 @@ def rollout(
     sensor_delays = np.zeros((sensors, LANES))
     external_forces = np.zeros((coordinates, LANES))
     reading = np.zeros((sensors, LANES))
+    innovation = np.zeros(LANES)
     past_readings = np.zeros((time.shape[0] if lagged else 0, sensors, LANES))
     voltages = np.zeros((drives * most_steps(time, longest_step) if delayed else drives, LANES))
     for block in range(first, last):
@@ -286,7 +303,7 @@ def rollout(
                     delay_readings(time, i, sensor_delays, past_readings, reading)
                 copy_lanes(block, i, reading, readings)
             if measured.shape[0] > 0:
-                inject_outputs(block, i, parameters.shape[0], measured, gains, reading, state)
+                inject_outputs(block, i, measured, gains, reading, innovation, state)
             if i + 1 == time.shape[0]:
                 break
             dt = time[i + 1] - time[i]
