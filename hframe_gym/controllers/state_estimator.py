@@ -5,7 +5,8 @@ belt stiffness and motor constants to their declared values (`AugmentedParameter
 its cycle between two measurements: velocities are observable only together with the belts' stiffness.
 
 Prediction    Second-order divided differences: the simulator maps points spread over the covariance, so that friction
-              that sticks at some points and slips at others enters the predicted covariance.
+              that sticks at some points and slips at others enters the predicted covariance. Effects with a memory, as
+              heat or a hysteresis, go on from their states at the mean.
 Correction    By the measurements within their sensors' ranges. A laser at the end of its range carries no information;
               encoders, and the belts' stretch under the estimated friction, then locate the tool.
 Robustness    Innovations larger than their covariance explains inflate it (fading memory), because a machine file is
@@ -23,7 +24,7 @@ import dataclasses
 import numpy as np
 
 from ..arrays import Array, Mask, TravelStates, Volts
-from ..dynamics import rollout
+from ..dynamics import simulate_batch
 from ..errors import InputError
 from ..machine import Machine
 from .base import SIMULATION_STEP_S, EpisodeStarts, check_period
@@ -101,6 +102,7 @@ class StateEstimator:
         self._starts = EpisodeStarts()
         self._mean = np.zeros((0, len(self._initial_covariance)))
         self._covariance = np.zeros((0, *self._initial_covariance.shape))
+        self._effects = np.zeros((0, 0))  # states of the effects at the mean, SI
 
     @property
     def parameter_ratios(self) -> Array:
@@ -147,6 +149,7 @@ class StateEstimator:
         if self._starts.resize(len(values)):
             self._mean = np.zeros((len(values), len(self._initial_covariance)))
             self._covariance = np.tile(self._initial_covariance, (len(values), 1, 1))
+            self._effects = np.zeros((len(values), 0))  # none: all begin with 0
         starts = self._starts.mask
         self._dead_time.reset(starts)
         travel, valid = self.measurements.to_travel(values), self.measurements.in_range(values)
@@ -156,6 +159,7 @@ class StateEstimator:
             self._mean[starts] = 0.0
             self._mean[starts, :width] = self._state_at_rest(travel, valid)[starts]
             self._covariance[starts] = self._initial_covariance
+            self._effects[starts] = 0.0
             self._starts.clear()
         self._correct(travel, valid)
         return self._mean[:, :width].copy()
@@ -182,16 +186,19 @@ class StateEstimator:
         width = len(self._scale)
         flat = points.reshape(batch * count, -1)
         times, volts = self._dead_time.arrived_history()
-        states = rollout(
+        motion = simulate_batch(
             self._simulated,
             times,
             np.repeat(volts, count, axis=0),
             parameters=self.augmented.parameters(flat[:, width:]),
-            start=flat[:, :width] / self._scale,
-            velocities=True,
+            start=np.hstack([flat[:, :width] / self._scale, np.repeat(self._effects, count, axis=0)]),
             longest_step=SIMULATION_STEP_S,
+            readings=False,
+            effects=True,
         )
-        points[:, :, :width] = (states[:, -1] * self._scale).reshape(batch, count, width)
+        states = np.hstack([motion.positions[:, -1], motion.velocities[:, -1]])
+        points[:, :, :width] = (states * self._scale).reshape(batch, count, width)
+        self._effects = motion.effects[::count, -1].copy()
         points[:, :, width:] *= self._keep
         self._mean, covariance = transformed_moments(points)
         self._covariance = covariance + self._process_noise

@@ -82,11 +82,13 @@ class Motion(NamedTuple):
         positions: Positions, m or rad, shape (B, n, coordinates).
         velocities: Velocities, m/s or rad/s, shape (B, n, coordinates).
         readings: Noise-free sensor readings in the channels' units, shape (B, n, sensors).
+        effects: States of the effects, SI, in the order of the machine's effects, shape (B, n, states).
     """
 
     positions: Array
     velocities: Array
     readings: Array
+    effects: Array
 
 
 def simulate_batch(
@@ -102,6 +104,7 @@ def simulate_batch(
     longest_step: float = LONGEST_STEP,
     states: bool = True,
     readings: bool = True,
+    effects: bool = False,
     parallel: bool = True,
 ) -> Motion:
     """Simulate B machines that differ in parameter values only, over N samples; arguments are not checked.
@@ -121,6 +124,8 @@ def simulate_batch(
         longest_step: Largest step of the integrator, s.
         states: Whether to return positions and velocities.
         readings: Whether to return sensor readings.
+        effects: Whether to return the states of effects, with positions and velocities. A motion goes on from its end
+            if they follow the positions and velocities of the next `start`.
         parallel: Whether to distribute the machines over threads; False if the caller does so.
 
     Returns:
@@ -144,13 +149,14 @@ def simulate_batch(
     gains = np.zeros((2 * count, len(machine.sensors))) if gains is None else gains
     travel_gains = gains * np.tile(radii, 2)[:, None]
     grid = np.ascontiguousarray(time_s, float)
-    out = np.empty((batch, len(grid), 2 * count)) if states else _NO_SERIES
+    rows = kernel.states if effects else 2 * count  # travel, its rate, time, states of effects
+    out = np.empty((batch, len(grid), rows)) if states else _NO_SERIES
     outputs = np.empty((batch, len(grid), len(machine.sensors))) if readings else _NO_SERIES
     arguments = (grid, inputs, parameters, travel, observed, travel_gains, force, longest_step)
     _run_kernel(kernel, arguments, out, outputs, blocks=-(-batch // LANES), parallel=parallel)
-    if states:
-        out /= np.tile(radii, 2)
-    return Motion(out[..., :count], out[..., count:], outputs)
+    moving = out[..., : 2 * count]
+    moving /= np.tile(radii, 2) if states else 1.0
+    return Motion(moving[..., :count], moving[..., count:], outputs, out[..., 2 * count + 1 :])
 
 
 def _series(values: Array | None) -> Array:

@@ -68,6 +68,19 @@ def test_settles_randomized_machines_from_measurements(hframe: Machine, span: fl
     assert PERIOD * np.mean(loop.error.shape[1] - periods_after_settling) < 0.32
 
 
+def test_effects_with_a_memory_go_on_from_period_to_period(hframe: Machine) -> None:
+    heat = EFFECTS["winding_heat"]
+    warm = hframe.with_effects(*(heat.at(f"motor{i}", a=0.01, tau=0.5) for i in (1, 2)))
+    volts, motion = random_motion(warm, (0.05, -0.02), 60)
+    measure, estimator = RigMeasurements(np.inf, 6), StateEstimator(with_rig(warm, np.inf), PERIOD)
+    for k in range(61):
+        estimator.update(measure(motion.positions[k : k + 1]))
+        estimator.send(volts[k : k + 1])
+    names = estimator.augmented.names
+    motors = [names.index(f"motor{i}.Kt") for i in (1, 2)]
+    np.testing.assert_allclose(estimator.parameter_ratios[0, motors], 1.0, atol=0.03)
+
+
 def test_estimates_the_state_while_lasers_are_out_of_range(hframe: Machine) -> None:
     volts, motion = random_motion(hframe, (0.15, -0.1), 60)
     measure, estimator = RigMeasurements(0.1, 6), StateEstimator(with_rig(hframe, 0.1), PERIOD)
