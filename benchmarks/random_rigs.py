@@ -45,8 +45,6 @@ from tests.rigs.random_rigs import RandomSession, draw_rig
 
 CACHE = Path("out/random_rigs")
 DEVELOPMENT_SEED = 1
-FINAL_SEED = 20270115  # run once, for the published results
-FINAL_CLOSED_LOOP_SEED = 20270126  # the same in closed loop
 COUNT = 300
 _RIG_SOURCES = ("tests/rigs", "tests/reference_simulator", "tests/euler_simulator")
 _SCORE_SOURCES = ("benchmarks/rig_score.py", "benchmarks/scoring.py")

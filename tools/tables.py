@@ -42,8 +42,8 @@ PAGES = (
     "docs/trust.md",
 )
 STAGES = ("declared", "before", "after")
-RANDOM_RIGS = "random_rigs_20270115"  # FINAL_SEED of benchmarks.random_rigs
-RANDOM_RIGS_CLOSED = "random_rigs_closed_20270126"  # FINAL_CLOSED_LOOP_SEED of it
+RANDOM_RIGS = "random_rigs_20270115"  # that is: of this seed, which was run once, for the published results
+RANDOM_RIGS_CLOSED = "random_rigs_closed_20270126"
 
 
 def markdown(header: Sequence[str], rows: Iterable[Sequence[str]], others: str = "---:") -> str:

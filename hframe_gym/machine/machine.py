@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -374,19 +374,14 @@ class Machine:
         values |= {
             tied: factor * values[name] for tied, (name, factor) in self.ties.items() if name in values
         }
-        new: dict[str, object] = {
-            "coordinates": tuple(_with_values(c, values) for c in self.coordinates),
-            "belts": tuple(_with_values(b, values) for b in self.belts),
-            "drives": tuple(_with_values(d, values) for d in self.drives),
-            "sensors": tuple(_with_values(s, values) for s in self.sensors),
-            "effects": tuple(
-                effect.with_parameters(
-                    {k: values.get(f"{effect.label}.{k}", v) for k, v in effect.parameters.items()}
-                )
-                for effect in self.effects
-            ),
-        }
-        return dataclasses.replace(self, **(new | fields))  # type: ignore[arg-type]
+        changed = {name.rpartition(".")[0] for name in values}
+
+        def with_values(parts: Sequence[Any]) -> tuple[Any, ...]:
+            return tuple(_with_values(part, values) if part.label in changed else part for part in parts)
+
+        parts = ("coordinates", "belts", "drives", "sensors", "effects")
+        new: dict[str, Any] = {name: with_values(getattr(self, name)) for name in parts} | fields
+        return dataclasses.replace(self, **new)
 
     def with_effects(self, *effects: AppliedEffect) -> Machine:
         """Return a copy with additional effects, each at its site; some also add components (`Effect.structure`).
@@ -427,8 +422,11 @@ class Machine:
         return SIMULATORS.get("default")(self, time_s, inputs, initial)
 
 
-def _with_values(component: Component, values: Mapping[str, float]) -> Component:
-    """Return a component with those of its parameters replaced that `values` holds under `label.key`."""
-    label, keys = component.label, (*component.parameter_names, *component.names("device"))
-    new = {key: values[name] for key in keys if (name := f"{label}.{key}") in values}
-    return component.with_values(new) if new else component  # type: ignore[no-any-return]
+def _with_values(part: Component | AppliedEffect, values: Mapping[str, float]) -> Any:
+    """Return a component or effect with those of its parameters replaced that `values` holds under `label.key`."""
+    if isinstance(part, AppliedEffect):
+        return part.with_parameters(
+            {k: values.get(f"{part.label}.{k}", v) for k, v in part.parameters.items()}
+        )
+    keys = (*part.parameter_names, *part.names("device"))
+    return part.with_values({key: values[name] for key in keys if (name := f"{part.label}.{key}") in values})

@@ -16,7 +16,6 @@ from ..arrays import Array
 from ..machine import Machine
 from .quantization import exact_quantum, quantum_of
 from .recording import Recording
-from .wrapping import without_wraps
 
 Mask = NDArray[np.bool_]
 
@@ -237,23 +236,6 @@ def outlier_mask(recording: Recording, machine: Machine) -> Mask:
         floor = max(_NOISE_FACTOR * sensor.noise, _RESOLUTION_FACTOR * resolution)
         mask[rows, j] = _isolated_samples(recording.time_s[rows], values, floor)
     return mask
-
-
-def only_measurements(recording: Recording, machine: Machine) -> Recording:
-    """Copy a recording, unwrapped, with NaN (not measured) for repeated values of slow sensors and for outliers.
-
-    Angles and counters that wrap are made continuous first (`without_wraps`). A slow sensor measures less often than a
-    row is logged, so that rows repeat its value. Outliers are up to five samples that leave the motion around them and
-    return to it. `repetitions` and `outlier_mask` state the criteria.
-
-    Args:
-        recording: Run as logged (times, s; voltages, V; measurements, m or rad).
-        machine: Machine that was recorded.
-
-    Returns:
-        Copy with measurements, m or rad, shape (n, sensors); the same object if nothing was replaced.
-    """
-    return without_outliers(without_repetitions(without_wraps(recording, machine)), machine)
 
 
 def without_outliers(recording: Recording, machine: Machine) -> Recording:

@@ -95,7 +95,10 @@ def machine_to_dict(machine: Machine) -> dict[str, Any]:
         {
             "name": e.name,
             "site": e.site,
-            "parameters": {k: _quantity(machine, f"{e.label}.{k}", v) for k, v in e.parameters.items()},
+            "parameters": {
+                k: _quantity(machine, f"{e.label}.{k}", v, machine.effect_unit(e, k))
+                for k, v in e.parameters.items()
+            },
         }
         for e in machine.effects
     ]
@@ -125,23 +128,29 @@ def _component_entry(machine: Machine, component: Component) -> dict[str, Any]:
         value, declared = getattr(component, attribute.name), attribute.declared
         if isinstance(declared, Plain) and declared.form == "numbers":
             stated = {name: v for name, v in value.items() if variant.defaults.get(name) != v}
-            value = {name: _quantity(machine, f"{component.label}.{name}", v) for name, v in stated.items()}
+            value = {
+                name: _quantity(machine, f"{component.label}.{name}", v, variant.units[name])
+                for name, v in stated.items()
+            }
         if attribute.presence == "omitted" and value in (None, attribute.default):
             continue
         if isinstance(declared, Number) and attribute.type is float:
             std = getattr(component, declared.std) if declared.std else None
-            value = _quantity(machine, f"{component.label}.{attribute.name}", value, std)
+            unit = variant.unit(attribute.name, declared)
+            value = _quantity(machine, f"{component.label}.{attribute.name}", value, unit, std)
         elif isinstance(value, Mapping):
             value = dict(value)
         entry[key] = list(value) if isinstance(value, tuple) else value
     return entry
 
 
-def _quantity(machine: Machine, name: str, value: float, std: float | None = None) -> dict[str, Any]:
+def _quantity(
+    machine: Machine, name: str, value: float, unit: str, std: float | None = None
+) -> dict[str, Any]:
     """Return value and unit of a parameter, and its standard deviation if it has one or was identified."""
     if machine.uncertainty and std is None:
         std = machine.uncertainty.std(name)
-    return {"value": value, "unit": machine.unit(name)} | ({} if std is None else {"std": std})
+    return {"value": value, "unit": unit} | ({} if std is None else {"std": std})
 
 
 def _field_name(location: tuple[int | str, ...], text: str) -> str:

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from hframe_gym.machine import Machine
+from hframe_gym.preparation.usable import usable_run
 from hframe_gym.recordings import (
     Recording,
     exact_quantum,
     find_wrap,
     known_moduli,
-    only_measurements,
     unwrapped,
     without_wraps,
     wraps_of,
@@ -113,7 +113,7 @@ def test_a_recording_is_unwrapped_before_it_is_cleaned(modulus: float, hframe: M
     wrapped[:, PHI1] = np.round(outputs[:, PHI1] % modulus, 5)
     logged = dataclasses.replace(run, outputs=wrapped)
     assert list(wraps_of(logged, hframe)) == ["phi1_rad"]
-    cleaned = only_measurements(logged, hframe).outputs[:, PHI1]
+    cleaned = usable_run(logged, hframe).measured.outputs[:, PHI1]
     expected = outputs[:, PHI1] - outputs[0, PHI1] + wrapped[0, PHI1]
     assert np.isfinite(cleaned).all()
     np.testing.assert_allclose(cleaned, expected, atol=0.1 * quantum)
