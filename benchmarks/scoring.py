@@ -11,7 +11,7 @@ import numpy as np
 
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import IdentificationResult
-from hframe_gym.identification.fit.residual import channel_errors
+from hframe_gym.identification.fit.channel_errors import channel_errors
 from hframe_gym.machine import Machine
 from tests.reference_simulator import Array
 from tests.rigs.cases import Case

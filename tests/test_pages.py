@@ -15,7 +15,7 @@ from hframe_gym.effects import EFFECTS, get_effect
 from hframe_gym.effects.smooth_table import KNOTS
 from hframe_gym.evaluation import Episodes, score_episodes, write_scorecard
 from hframe_gym.identification import write_result
-from hframe_gym.identification.fit.residual import Dependence
+from hframe_gym.identification.fit.missing_force import Dependence
 from hframe_gym.identification.report.experiment_design import ExperimentDesign
 from hframe_gym.identification.report.page import build_report
 from hframe_gym.machine import Uncertainty

@@ -17,7 +17,7 @@ from hframe_gym.identification import (
     initial_state_of_recording,
     prepare,
 )
-from hframe_gym.identification.fit.residual import channel_errors
+from hframe_gym.identification.fit.channel_errors import channel_errors
 from hframe_gym.machine import Machine, rest_state
 from hframe_gym.preparation.belt_stretch import static_equilibrium
 from hframe_gym.preparation.initial_state import (

@@ -9,13 +9,13 @@ import pytest
 
 from hframe_gym.dynamics.simulation import simulate_batch
 from hframe_gym.effects import EFFECTS
-from hframe_gym.identification.fit.residual import (
+from hframe_gym.identification.fit.channel_errors import white_sensors
+from hframe_gym.identification.fit.missing_force import (
     dependence_variables,
     missing_force,
     missing_motions,
     smooth_force_residual,
     smooth_sign,
-    white_sensors,
 )
 from hframe_gym.identification.propose.dependences import _curve, rank_dependences
 from hframe_gym.identification.propose.periodogram import periodogram_peaks

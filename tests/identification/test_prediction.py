@@ -9,7 +9,7 @@ import pytest
 
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset, prepare
-from hframe_gym.identification.fit.residual import smooth_force_residual
+from hframe_gym.identification.fit.missing_force import smooth_force_residual
 from hframe_gym.identification.predict.prediction import (
     SEARCH_BANDWIDTH,
     SIMULATION,

@@ -18,7 +18,7 @@ from hframe_gym.identification import (
     prepare,
     simulate_recording,
 )
-from hframe_gym.identification.fit.residual import ChannelError
+from hframe_gym.identification.fit.channel_errors import ChannelError
 from hframe_gym.identification.validate import recording_simulation
 from hframe_gym.identification.validate.machine_errors import (
     ModelEvaluation,

@@ -20,7 +20,8 @@ from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS, get_effect
 from hframe_gym.effects.smooth_table import KNOTS
 from hframe_gym.identification import Dataset, IdentificationResult, write_result
-from hframe_gym.identification.fit.residual import ChannelError, Dependence
+from hframe_gym.identification.fit.channel_errors import ChannelError
+from hframe_gym.identification.fit.missing_force import Dependence
 from hframe_gym.identification.report.answers import tone_of_remainder, verdict_sentence
 from hframe_gym.identification.report.correlations import CONFIDENCE, correlation
 from hframe_gym.identification.report.curves import page_curves, worst_first

@@ -9,7 +9,7 @@ import pytest
 
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import SelectionCriteria, identify
-from hframe_gym.identification.fit.residual import Dependence
+from hframe_gym.identification.fit.missing_force import Dependence
 from hframe_gym.identification.judge.verdict import (
     Evidence,
     contradiction_of_names,

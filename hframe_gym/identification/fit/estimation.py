@@ -261,7 +261,7 @@ def prediction_cost(
 def prediction_costs(
     machine: Machine, data: Dataset, bandwidth: float, *, longest_step: float = SEARCH_STEP
 ) -> Array:
-    """Return the cost of a machine on each run; arguments as of `prediction_cost`.
+    """Return the cost of a machine on each run (`prediction_cost` is their sum).
 
     Args:
         machine: Machine that predicts.

@@ -21,7 +21,7 @@ from ...preparation.dataset import Dataset
 from ...registry import Registry
 from ..fit.estimation import Fit
 from ..fit.force_sizes import SESSION, TypicalScales, typical_scales
-from ..fit.residual import missing_force, sensor_errors
+from ..fit.missing_force import missing_force, sensor_errors
 from ..predict.free_parameters import FreeParameter
 from ..predict.prediction import SEARCH_BANDWIDTH
 from .periodogram import MIN_FORCE_PERIODS, MIN_FRICTION_PERIODS

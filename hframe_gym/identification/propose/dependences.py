@@ -24,7 +24,8 @@ from scipy import signal
 from ...machine import HOOKS, AppliedEffect, Machine, argument_names
 from ...machine.motion import rigid_motions
 from ...preparation.dataset import Dataset
-from ..fit.residual import (
+from ..fit.channel_errors import white_sensors
+from ..fit.missing_force import (
     Dependence,
     MissingMotion,
     correction_filters,
@@ -34,7 +35,6 @@ from ..fit.residual import (
     sensor_combinations,
     smooth_sign,
     variables_of_motion,
-    white_sensors,
 )
 from ..judge import cause as judge
 from ..predict.free_parameters import typical_force

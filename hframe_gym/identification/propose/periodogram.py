@@ -12,7 +12,7 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 
-from ..fit.residual import HIGHEST_FREQUENCY
+from ..fit.missing_force import HIGHEST_FREQUENCY
 
 Array = NDArray[np.float64]
 

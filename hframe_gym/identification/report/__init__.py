@@ -1,1 +1,1 @@
-"""Results of an identification: simulation of recordings, files, plots, the page and the next experiment."""
+"""Results of an identification: files, plots, the page, advice and the next experiment."""

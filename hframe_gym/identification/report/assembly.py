@@ -10,8 +10,9 @@ from ...preparation.dataset import Dataset
 from ..budget import Budget
 from ..evidence.held_out import error_reduction, held_out_gain, is_excited
 from ..evidence.tried_effects import ConsideredEffect, SelectedEffect
+from ..fit.channel_errors import white_sensors
 from ..fit.force_sizes import drive_force, effect_force
-from ..fit.residual import Dependence, white_sensors
+from ..fit.missing_force import Dependence
 from ..judge.verdict import final_verdict
 from ..propose.dependences import rank_dependences
 from ..search.checked_search import CheckedOutcome

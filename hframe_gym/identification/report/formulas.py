@@ -28,9 +28,9 @@ from ...effects.formulas import Formula, FormulaEffect, curve_of_table, fit_form
 from ...effects.smooth_table import KNOTS, TABLE_FAMILY
 from ...errors import InputError
 from ...machine import AppliedEffect, Machine
+from ..fit.channel_errors import channel_errors
 from ..fit.estimation import Fit, fit, prediction_cost
 from ..fit.force_sizes import typical_scales
-from ..fit.residual import channel_errors
 from ..fit.start_estimation import refine_dataset
 from ..judge.table import recommended_formula
 from ..predict.free_parameters import FreeParameter, default_free_parameters

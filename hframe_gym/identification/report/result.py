@@ -20,14 +20,9 @@ from ...preparation.dataset import Dataset
 from ...recordings import save_machine
 from ...web_page import number
 from ..evidence.tried_effects import SelectedEffect
+from ..fit.channel_errors import errors_by_channel, simulation_error
+from ..fit.missing_force import Dependence, dependence_variables, smooth_force_residual
 from ..fit.parameter_diagnostics import inseparable_parameters, parameters_at_limit
-from ..fit.residual import (
-    Dependence,
-    dependence_variables,
-    errors_by_channel,
-    simulation_error,
-    smooth_force_residual,
-)
 from ..judge.criteria import SelectionCriteria
 from ..judge.table import is_better_than_table
 from ..judge.verdict import Verdict

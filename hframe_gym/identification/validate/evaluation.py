@@ -16,9 +16,9 @@ from ...preparation.dataset import Dataset
 from ...preparation.sensor_properties import Range, range_effects
 from ...preparation.session import Session, with_all_measurements
 from ..evidence.tried_effects import ConsideredEffect, Log, SelectedEffect
+from ..fit.channel_errors import errors_by_channel
 from ..fit.covariance import with_uncertainty
 from ..fit.estimation import Fit, prediction_cost
-from ..fit.residual import errors_by_channel
 from ..fit.start_estimation import refine_dataset
 from ..judge.criteria import SelectionCriteria
 from ..judge.verdict import (
