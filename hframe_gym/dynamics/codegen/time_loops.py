@@ -167,7 +167,7 @@ def inject_outputs(block: int, i: int, measured, gains, reading, innovation, sta
         measured: Measurements, m or rad, shape (1 or B, n, sensors), NaN where not measured.
         gains: Change of belt travel (m) and of its rate (m/s) per m or rad of error, shape (2 * coordinates, sensors).
         reading: Simulated readings, m or rad, shape (sensors, LANES).
-        innovation: Room for the differences of one sensor, m or rad, shape (LANES,).
+        innovation: Room for the differences, m or rad, shape (sensors, LANES).
         state: State, corrected in place, shape (rows, LANES).
     """
     for j in range(reading.shape[0]):
@@ -176,16 +176,16 @@ def inject_outputs(block: int, i: int, measured, gains, reading, innovation, sta
             if not np.isfinite(measurement):
                 continue
             for lane in range(LANES):
-                innovation[lane] = measurement - reading[j, lane]
+                innovation[j, lane] = measurement - reading[j, lane]
         else:
             for lane in range(LANES):
                 measurement = measured[min(block * LANES + lane, measured.shape[0] - 1), i, j]
-                innovation[lane] = measurement - reading[j, lane] if np.isfinite(measurement) else 0.0
+                innovation[j, lane] = measurement - reading[j, lane] if np.isfinite(measurement) else 0.0
         for k in range(gains.shape[0]):
             gain = gains[k, j]
             if gain != 0.0:  # most sensors correct one coordinate
                 for lane in range(LANES):
-                    state[k, lane] += gain * innovation[lane]
+                    state[k, lane] += gain * innovation[j, lane]
 
 
 @compiled_only
@@ -285,7 +285,7 @@ def rollout(
     sensor_delays = np.zeros((sensors, LANES))
     external_forces = np.zeros((coordinates, LANES))
     reading = np.zeros((sensors, LANES))
-    innovation = np.zeros(LANES)
+    innovation = np.zeros((sensors, LANES))
     past_readings = np.zeros((time.shape[0] if lagged else 0, sensors, LANES))
     voltages = np.zeros((drives * most_steps(time, longest_step) if delayed else drives, LANES))
     for block in range(first, last):
