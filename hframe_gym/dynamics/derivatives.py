@@ -103,7 +103,8 @@ class DifferentiableMotion:
         step: Step of the integrator, s.
 
     Raises:
-        InputError: If the period or the step is not positive, or the name of the treatment is unknown.
+        InputError: If the period or the step is not positive, the name of the treatment is unknown, or an effect
+            changes the clock.
     """
 
     def __init__(
@@ -119,6 +120,11 @@ class DifferentiableMotion:
         if friction not in get_args(Friction):
             raise InputError(
                 f"friction={friction!r} is unknown; choose one of {', '.join(get_args(Friction))}"
+            )
+        if any(effect.definition.clock for effect in machine.effects):
+            raise InputError(
+                f"machine {machine.name!r}: derivatives with a drifting clock are not available; remove the effect, "
+                "which belongs to the log, from a copy of the machine"
             )
         self.machine, self.period = machine, float(period)
         self._steps = max(1, int(np.ceil(period / longest_step - 1e-6)))

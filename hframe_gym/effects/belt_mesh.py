@@ -1,15 +1,16 @@
-"""Teeth of a belt that meet those of a pulley, A (1 + |T| / T0) sin(n q + p): the force grows with the load T.
+"""Teeth of a belt that meet those of a pulley: a force A |T| sin(n q + p) that is proportional to the belts' load T.
 
-A pitch t on a pulley of radius r has n = 2 pi r / t. The load is the force or torque of the belts on the pulley.
+A pitch t on a pulley of radius r has n = 2 pi r / t. The load is the force or torque of the belts on the pulley. The
+part that does not depend on the load is `cogging` with the same n.
 """
 
 from ..dynamics.elementwise import absolute, sin
 from ..machine import Effect, EffectParameter, Machine
 
 
-def force(q, load, A, n, p, T0):  # type: ignore[no-untyped-def]
-    """Return the torque A (1 + |load| / T0) sin(n q + p), Nm; load, T0: Nm, q: rad, n: rad per rad, p: phase, rad."""
-    return A * (1.0 + absolute(load) / T0) * sin(n * q + p)
+def force(q, load, A, n, p):  # type: ignore[no-untyped-def]
+    """Return the torque A |load| sin(n q + p), Nm; load: Nm, A: dimensionless, q: rad, n: rad per rad, p: rad."""
+    return A * absolute(load) * sin(n * q + p)
 
 
 def fits_site(machine: Machine, site: str) -> bool:
@@ -21,14 +22,13 @@ EFFECT = Effect(
     name="belt_mesh",
     family="cogging",
     site="motor",
-    formula="f = A (1 + |T| / T0) sin(n q + p), T: force of the belts",
-    source="polygon effect of toothed belts, with a force that grows with that between the teeth",
+    formula="f = A |T| sin(n q + p), T: force of the belts",
+    source="polygon effect of toothed belts, with a force that is proportional to that between the teeth",
     force=force,
     fits_site=fits_site,
     parameters=(
-        EffectParameter("A", "force", -1e3, 1e3, scale=0.3, role="amplitude"),
+        EffectParameter("A", "1", -1.0, 1.0, scale=0.05, role="amplitude"),
         EffectParameter("n", "rad/position", 1e-3, 1e5, scale=0.1, role="rate"),
         EffectParameter("p", "rad", -100.0, 100.0, scale=1.0, role="phase"),
-        EffectParameter("T0", "force", 1e-3, 1e6, scale=1.0, grid=(1.0,)),
     ),
 )

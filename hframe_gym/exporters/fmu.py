@@ -31,7 +31,7 @@ _UNITS = {"m": 'm="1"', "rad": 'rad="1"', "V": 'kg="1" m="2" s="-3" A="-1"', "s"
 _DATE = (1980, 1, 1, 0, 0, 0)  # of the files in the archive: equal exports are equal
 # Formulas of effects that the FMU does not have: a delay needs earlier values of a signal, and the angle of an
 # eccentric pulley at rest is not a linear function of the start position.
-_UNSUPPORTED_FORMULAS = ("delay", "measurement_delay", "rest_angle_offset")
+_UNSUPPORTED_FORMULAS = ("delay", "measurement_delay", "clock", "rest_angle_offset")
 
 
 @EXPORTERS.register("fmu")

@@ -27,7 +27,7 @@ _NEGLIGIBLE = 1e-9  # relative displacements below are rounding errors
 # Functions of an effect (hooks of `machine.Effect`) that change the matrices, and others that do not: delays stand
 # beside the matrices, and the state in which a recording begins is no part of the model.
 _LINEAR_HOOKS = ("force", "active_region", "viscous", "tension", "energy_slope", "voltage", "measurement")
-_IGNORED_HOOKS = ("delay", "measurement_delay", "initial_spread")
+_IGNORED_HOOKS = ("delay", "measurement_delay", "clock", "initial_spread")
 
 
 class LinearModel(NamedTuple):

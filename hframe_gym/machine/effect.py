@@ -41,6 +41,7 @@ HOOKS: Mapping[str, tuple[str, ...]] = {
     "rest_angle_offset": ("q", "per_radius"),
     "measurement": ("r", "across"),
     "measurement_delay": (),
+    "clock": ("z",),
     "next_state": ("z", "dq", "dt", "v", "dv", "level", "i", "V", "q", "N", "R", "power", "stall_power"),
     "initial_spread": ("level", "N", "i", "m"),
 }
@@ -144,6 +145,7 @@ class Effect:
     rest_angle_offset   angle by which a pulley at rest lags a round one, rad        q, per_radius
     measurement         measured value of a sensor, in its unit                      r, across
     measurement_delay   delay of a sensor, s
+    clock               by which fraction steps last longer than by the log's clock  z
     next_state          state of the effect after the time dt                        z, dq, dt, v, dv, level, i, V, q,
                                                                                      N, R, power, stall_power
     initial_spread      standard deviation of the state when a recording begins,     level, N, i, m
@@ -227,6 +229,7 @@ class Effect:
     rest_angle_offset: Hook | None = None
     measurement: Hook | None = None
     measurement_delay: Hook | None = None
+    clock: Hook | None = None
     next_state: Hook | None = None
     initial_spread: Hook | None = None
     structure: Callable[..., Any] | None = None
@@ -378,13 +381,15 @@ class AppliedEffect:
         """Return the components of a machine on which the effect acts.
 
         They are all drives for the site "drives", all belts for "belts", and all coordinates for "machine";
-        but ("machine",) for an effect that adds components (`Effect.structure`), and the added belt, if there is one.
+        but ("machine",) for an effect that adds components (`Effect.structure`) or changes the clock, and the added
+        belt, if there is one.
         """
         kind = self.definition.site
         if self.definition.belt:
             return (self.added_belt,)
         if kind == "machine":
-            return ("machine",) if self.definition.structure else machine.coordinate_names
+            whole = self.definition.structure or self.definition.clock
+            return ("machine",) if whole else machine.coordinate_names
         drives = tuple(d.name for d in machine.drives)
         names = {"drive": drives, "drives": drives, "belts": _declared_belts(machine)}.get(kind, ())
         # A component that is called "drives" or "belts" comes before all of them.

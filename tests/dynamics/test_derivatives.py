@@ -131,7 +131,7 @@ def test_derivatives_contain_the_effects(effect):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("effect", sorted(set(CASES) - set(FEW)))
+@pytest.mark.parametrize("effect", sorted(set(CASES) - {*FEW, "clock_drift"}))
 def test_derivatives_contain_every_effect_of_the_library(effect):
     case = Case(MACHINE.with_effects(CASES[effect].effect))
     for name in ("start", "inputs", "parameters"):
@@ -299,3 +299,9 @@ def test_slopes_of_the_damping_formulas(function, slope, z):
 def test_wrong_options_are_refused(options, message):
     with pytest.raises(InputError, match=message):
         DifferentiableMotion(MACHINE, **{"period": PERIOD, **options})
+
+
+def test_a_drifting_clock_is_refused() -> None:
+    machine = BUILTIN_MACHINES["hframe"]().with_effects(EFFECTS["clock_drift"].at("machine", a=0.01))
+    with pytest.raises(InputError, match="drifting clock"):
+        DifferentiableMotion(machine, 1e-3)

@@ -31,6 +31,7 @@ class Case:
         parameters: Its parameters.
         rig: Fields of the simulator's rig.
         sensors: Fields of the simulator's sensors.
+        drift: Rate a at which the actual steps grow beyond those of the log's clock, 1/s.
     """
 
     name: str
@@ -38,6 +39,7 @@ class Case:
     parameters: dict[str, float]
     rig: dict[str, Any] = field(default_factory=dict)
     sensors: dict[str, Any] = field(default_factory=dict)
+    drift: float = 0.0
 
     @property
     def effect(self) -> AppliedEffect:
@@ -46,8 +48,10 @@ class Case:
 
     def run(self, time_s: np.ndarray, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return positions, velocities and ideal readings (phi1, phi2, x, y), each (n, 4), of a rig with the effect."""
-        positions, velocities = simulate(dataclasses.replace(Rig(), **self.rig), time_s, inputs, START)
-        return positions, velocities, Sensors(**self.sensors).ideal(time_s, positions, velocities)
+        logged_s = time_s - time_s[0]
+        actual_s = time_s[0] + np.expm1(self.drift * logged_s) / self.drift if self.drift else time_s
+        positions, velocities = simulate(dataclasses.replace(Rig(), **self.rig), actual_s, inputs, START)
+        return positions, velocities, Sensors(**self.sensors).ideal(actual_s, positions, velocities)
 
 
 def history(seed: int, seconds: float = 0.45, hold_s: float = 0.01) -> tuple[np.ndarray, np.ndarray]:
@@ -139,8 +143,13 @@ _CASES = (
     Case(
         "belt_mesh",
         "motor2",
-        {"A": 0.0194 * 1.5, "n": 2.0 * math.pi * 0.0194 / 1e-2, "p": 0.5, "T0": 0.0194 * 20.0},
-        {"mesh_force_N": (0.0, 1.5), "mesh_pitch_m": (1e-2, 1e-2), "mesh_phase": (0.0, 0.5)},
+        {"A": 1.5 / 20.0, "n": 2.0 * math.pi * 0.0194 / 1e-2, "p": 0.5},
+        {
+            "mesh_force_N": (0.0, 1.5),
+            "mesh_pitch_m": (1e-2, 1e-2),
+            "mesh_phase": (0.0, 0.5),
+            "mesh_unloaded": 0.0,
+        },
     ),
     Case(
         "second_cogging",
@@ -185,6 +194,7 @@ _CASES = (
         {"g": 0.2 / 12.0**2, "tau": 6e-3},
         {"supply_V": 12.0, "supply_ohm": 0.2, "supply_s": 6e-3},
     ),
+    Case("clock_drift", "machine", {"a": 0.03}, drift=0.03),
     Case("electrical_lag", "motor2", {"tau": 1.5e-3}, {"electrical_lag_s": (0.0, 1.5e-3)}),
     Case("input_delay", "drives", {"d": 2.3e-3}, {"input_delay_s": (2.3e-3, 2.3e-3)}),
     Case("belt_play", "belts", {"d": 0.15e-3}, {"belt_play_m": 0.15e-3}),

@@ -31,7 +31,23 @@ pytestmark = pytest.mark.unit
 
 EVERY_EFFECT = pytest.mark.parametrize("effect", EFFECTS.values(), ids=EFFECTS)
 WITH_AMPLITUDE = {name: case for name, case in CASES.items() if EFFECTS[name].amplitudes}
-PLAIN_UNITS = {"1", "s", "V", "A", "m", "rad", "N", "1/m^2", "1/A^2", "1/W", "kg m^2", "Nm/rad", "Nms", "Hz"}
+PLAIN_UNITS = {
+    "1",
+    "s",
+    "1/s",
+    "V",
+    "A",
+    "m",
+    "rad",
+    "N",
+    "1/m^2",
+    "1/A^2",
+    "1/W",
+    "kg m^2",
+    "Nm/rad",
+    "Nms",
+    "Hz",
+}
 
 
 @EVERY_EFFECT

@@ -243,5 +243,8 @@ def _add_belts(
             radius = coordinates[2 + j].radius
             wave = math.sin(2.0 * math.pi * radius * z[2 + j] / d.mesh_pitch_m + d.mesh_phase)
             force[2 + j] += (
-                radius * d.mesh_force_N * (1.0 + abs(transmitted[j]) / stage.mesh_tension_N) * wave
+                radius
+                * d.mesh_force_N
+                * (stage.mesh_unloaded + abs(transmitted[j]) / stage.mesh_tension_N)
+                * wave
             )

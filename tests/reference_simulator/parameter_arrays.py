@@ -33,7 +33,15 @@ _OF_DRIVE += [
     "mesh_phase",
 ]
 _SCALARS = ["belt_play_m", "belt_damping_s", "belt_pretension_N", "belt_hardening", "belt_energy_force"]
-_SCALARS += ["belt_relaxation", "belt_relaxation_s", "mesh_tension_N", "supply_V", "supply_ohm", "supply_s"]
+_SCALARS += [
+    "belt_relaxation",
+    "belt_relaxation_s",
+    "mesh_tension_N",
+    "mesh_unloaded",
+    "supply_V",
+    "supply_ohm",
+    "supply_s",
+]
 _OF_STAGE = ["warm_up_s", *_SCALARS, "frame_w", "frame_zeta", "frame_ratio", "frame_ground"]
 _DIVISORS = dict.fromkeys(
     (

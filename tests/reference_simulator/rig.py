@@ -191,6 +191,7 @@ class Rig:
     mesh_force_N: PerDrive = (0.0, 0.0)  # A
     mesh_pitch_m: PerDrive = (0.002, 0.002)
     mesh_phase: PerDrive = (0.0, 0.0)
+    mesh_unloaded: float = 1.0  # u in A (u + |load| / T) sin(2 pi r phi / pitch + phase)
     mesh_tension_N: float = 20.0  # T
 
     # Bodies beyond the 8th-order model.

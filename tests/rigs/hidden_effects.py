@@ -311,10 +311,18 @@ def effect(name: str, site: str, size: float) -> HiddenEffect:
             build = partial(pulley, wave_force=torque, wave_number=order, wave_phase=0.5)
             return _hidden(name, site, build, {"A": torque, "n": order}, forces=("A",))
         case "belt_mesh":
-            newtons, pitch, radius = size * 2.0, 5e-3, Rig().pulley_radius_m
-            build = partial(motor, mesh_force_N=newtons, mesh_pitch_m=pitch)
-            values = {"A": newtons * radius, "n": 2.0 * np.pi * radius / pitch}
-            return _hidden(name, site, build, values, forces=("A",))
+            part, pitch, tension = size * 0.1, 5e-3, Rig().mesh_tension_N
+            forces = tuple(part * tension if site == m else 0.0 for m in MOTORS)
+            build = partial(
+                change_fields, mesh_force_N=forces, mesh_pitch_m=(pitch, pitch), mesh_unloaded=0.0
+            )
+            return _hidden(
+                name,
+                site,
+                build,
+                {"A": part, "n": 2.0 * np.pi * Rig().pulley_radius_m / pitch},
+                forces=("A",),
+            )
         case "second_cogging":  # beside cogging at full size, which has the same motor
             torque, order = 0.4 * size * 0.03, 2 * 4 * 5.9
             pulley = partial(change_site, sites=COORDINATES, site=f"phi{site[-1]}")

@@ -420,6 +420,7 @@ IN_LIBRARY = frozenset(
         "gear backlash",
         "dwell friction",
         "belt mesh",
+        "clock drift",
         "payload swing",
         "scale interpolation",
         "eccentric encoder",

@@ -8,6 +8,8 @@ machine in each SIMD lane.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from ...machine import HOOKS, Machine, argument_names
 from ..physics.equations import Equations
 from ..symbolic.elementwise import exp
@@ -49,7 +51,8 @@ class KernelSource:
             present sample, under the voltages that have acted until then. They are 0 at the start.
         delayed: Whether a drive has a delay.
         lagged: Whether a sensor has a delay.
-        uses_time: Whether an effect depends on time.
+        uses_time: Whether time is counted step by step: an effect depends on it, or on the clock.
+        clocked: Whether an effect changes the clock: steps then last differently long for each machine.
         text: Source of the functions prepare (constants of a step), voltage_delays, advance (the integrator),
             read_sensors and measurement_delays.
     """
@@ -77,8 +80,11 @@ class KernelSource:
         self.delayed = any(d.delay for d in definitions)
         self.lagged = any(d.measurement_delay for d in definitions)
         hooks = [getattr(d, hook) for d in definitions for hook in HOOKS if getattr(d, hook)]
-        self.uses_time = any("t" in argument_names(f) for f in hooks) or any(
-            d.against == "time" for d in definitions
+        self.clocked = any(d.clock for d in definitions)
+        self.uses_time = (
+            self.clocked
+            or any("t" in argument_names(f) for f in hooks)
+            or any(d.against == "time" for d in definitions)
         )
         traces = (
             self.trace_constants(Trace("prepare(parameters, derived, h: float)")),
@@ -105,12 +111,19 @@ class KernelSource:
 
     def trace_constants(self, trace: Trace) -> Trace:
         """Trace the constants that depend on parameters and the step length only; return the trace."""
-        equations, h, rows = self._equations(trace), trace.argument("h"), self.layout.derived
+        for name, value in self.step_constants(trace, self._equations(trace), trace.argument("h")):
+            trace.store("derived", self.layout.derived[name], value)
+        return trace
+
+    def step_constants(
+        self, trace: Trace, equations: Equations, h: Expression
+    ) -> Iterator[tuple[str, Expression]]:
+        """Trace the constants of a step of the length h, s, with the names of their rows."""
         for i in self._coordinates:
             mass = trace.let("mass", i, equations.mass(i))
-            constants = (mass, 1.0 / mass, equations.coulomb(i), h * h / 12.0 / mass)
-            for key, value in zip(PER_COORDINATE, constants, strict=True):
-                trace.store("derived", rows[row_name("coordinate", i, key)], value)
+            of_coordinate = (mass, 1.0 / mass, equations.coulomb(i), h * h / 12.0 / mass)
+            for key, value in zip(PER_COORDINATE, of_coordinate, strict=True):
+                yield row_name("coordinate", i, key), value
             for suffix in self.directions(i):
                 viscous = equations.viscous(i, -1.0 if suffix == "_backward" else 1.0)
                 decay_rate = trace.let(f"damping{suffix}", i, viscous * h / mass)
@@ -124,15 +137,12 @@ class KernelSource:
                     h * last_weight,
                 )
                 for key, value in zip(PER_DIRECTION, values, strict=True):
-                    trace.store("derived", rows[row_name("coordinate", i, key + suffix)], value)
+                    yield row_name("coordinate", i, key + suffix), value
         for j in range(len(self.machine.drives)):
-            trace.store("derived", rows[row_name("drive", j, "force_per_volt")], equations.force_per_volt(j))
+            yield row_name("drive", j, "force_per_volt"), equations.force_per_volt(j)
         for b, belt in enumerate(self.machine.belts):
             if not belt.length:
-                trace.store(
-                    "derived", rows[row_name("belt", b, "stiffness")], equations.constant_stiffness(b)
-                )
-        return trace
+                yield row_name("belt", b, "stiffness"), equations.constant_stiffness(b)
 
     # -- sensors and delays ----------------------------------------------------------------------------------------
 

@@ -13,7 +13,7 @@ The scheme is of second order and needs two force evaluations and one division p
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from typing import Protocol
@@ -55,9 +55,15 @@ class KernelShape(Protocol):
     states: int
     delayed: bool
     uses_time: bool
+    clocked: bool
 
     def directions(self, i: int) -> tuple[str, ...]:
         """Return the suffixes of the names of step constants of coordinate i."""
+
+    def step_constants(
+        self, trace: Trace, equations: Equations, h: Expression
+    ) -> Iterator[tuple[str, Expression]]:
+        """Trace the constants of a step of the length h, s, with the names of their rows."""
 
 
 def row_name(component: str, index: int, key: str) -> str:
@@ -84,10 +90,14 @@ class _PreparedEquations(Equations):
         )
         self._trace = trace
         self._rows = source.layout.derived
+        self.constants: Mapping[str, Expression] = {}  # instead of those that `prepare` has computed
 
     def derived(self, component: str, index: int, key: str) -> Expression:
         """Return the expression of the step constant `key` of a "coordinate", "drive" or "belt" with this index."""
-        row = self._rows[row_name(component, index, key)]
+        name = row_name(component, index, key)
+        if name in self.constants:
+            return self.constants[name]
+        row = self._rows[name]
         return self._trace.load("derived", row, f"{key}_{index}")
 
     @override
@@ -124,6 +134,7 @@ class StepTrace:
         count, first = len(self.coordinates), 2 * len(self.coordinates) + 1
         with trace.block("for step in range(steps):", loop=True):
             self._step()
+        self.h, self.equations.constants = trace.argument("h"), {}
         for i in self.coordinates:
             trace.store("state", i, self.travel[i])
             trace.store("state", count + i, self.speed[i])
@@ -182,7 +193,10 @@ class StepTrace:
 
     def _step(self) -> None:
         """Trace one step."""
-        trace, equations, h = self.trace, self.equations, self.h
+        trace, equations = self.trace, self.equations
+        if self.source.clocked:
+            self._set_clock()
+        h = self.h
         half = trace.let("half_step", None, 0.5 * h)
         with trace.section("1. forces at the half-way point, and the acceleration", "half_"):
             half_way = [
@@ -224,6 +238,17 @@ class StepTrace:
             self.travel = [trace.assign(q, travel) for q, (_, travel) in zip(self.travel, ends, strict=True)]
             if self.source.uses_time:
                 self.time = trace.assign(self.time, self.time + h)
+
+    def _set_clock(self) -> None:
+        """Trace the actual length of the present step and the constants that depend on it."""
+        trace, source = self.trace, self.source
+        factor = self.equations.step_factor(self.effect_states)
+        self.h = trace.let("actual_step", None, self.h * factor)
+        rows = source.layout.parameters.items()
+        plain = Equations(
+            source.machine, {name: trace.load("parameters", row, f"p{row}") for name, row in rows}
+        )
+        self.equations.constants = dict(source.step_constants(trace, plain, self.h))
 
     def _voltages(self) -> list[Expression]:
         """Return the commanded voltage of each drive; with a delay it changes from step to step."""

@@ -56,6 +56,7 @@ def reference_step(equations: Equations, state: StepState, voltages: Sequence[fl
         voltages: Commanded voltage of each drive, V, constant over the step.
         h: Length of the step, s.
     """
+    h = h * equations.step_factor(state.effect_states)
     p, v = state.travel, state.speed
     coordinates = range(len(p))
     motor_voltages = equations.motor_voltages(voltages)

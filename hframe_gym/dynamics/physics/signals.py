@@ -125,6 +125,17 @@ class SignalEquations(BeltEquations):
         """Return the delay of each sensor's measurement, s: the sum of the delays that effects declare."""
         return [self._delay("measurement_delay", s.channel) for s in self.machine.sensors]
 
+    def step_factor(self, effect_states: Mapping[int, Value]) -> Value:
+        """Return the actual duration of a step / that by the clock of the log, with the effects on that clock.
+
+        Args:
+            effect_states: State of each effect that has one, SI, by index in `instances`.
+        """
+        factor: Value = 1.0
+        for k, e in self.effects_at("clock", "machine"):
+            factor = factor + self.evaluate(e, "clock", {"z": effect_states[k]})
+        return factor
+
     def _delay(self, hook: str, component: str) -> Value:
         delay: Value = 0.0
         for _, e in self.effects_at(hook, component):

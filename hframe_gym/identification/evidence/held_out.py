@@ -71,7 +71,11 @@ def error_reduction(without: Machine, machine: Machine, validation: Dataset, ban
         Fraction, dimensionless, at most 1; negative if the error is larger, not finite if a machine diverges.
     """
     on_sensors = [
-        {e.label for e in m.effects if e.definition.measurement or e.definition.measurement_delay}
+        {
+            e.label
+            for e in m.effects
+            if e.definition.measurement or e.definition.measurement_delay or e.definition.clock
+        }
         for m in (without, machine)
     ]
     comparable = bandwidth == SEARCH_BANDWIDTH and on_sensors[0] == on_sensors[1]

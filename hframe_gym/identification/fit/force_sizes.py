@@ -50,9 +50,10 @@ def effect_force(machine: Machine, effect: AppliedEffect, data: Dataset) -> floa
 
     Returns:
         sqrt(mean over time of the sum of F^2 over the coordinates), N, with the effect's force F at the belt (torque /
-        pulley radius); infinite for an effect that adds coordinates or changes a measurement.
+        pulley radius); infinite for an effect that adds coordinates or changes a measurement or the clock.
     """
-    if effect.definition.structure or effect.definition.measurement or effect.definition.measurement_delay:
+    definition = effect.definition
+    if definition.structure or definition.measurement or definition.measurement_delay or definition.clock:
         return np.inf
     without = machine.replace(effects=tuple(e for e in machine.effects if e.label != effect.label))
     return force_difference(without, without.with_effects(effect), data)

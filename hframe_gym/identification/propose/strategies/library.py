@@ -14,7 +14,7 @@ import numpy as np
 
 from ....arrays import Array
 from ....effects import EFFECTS
-from ....machine import Effect
+from ....machine import Effect, argument_names
 from ..candidates import STRATEGIES, Candidate, SearchState
 from ..periodogram import periodogram_peaks, slow_rates
 
@@ -71,9 +71,11 @@ def _factor(effect: Effect, site: str, state: SearchState) -> Array | None:
     velocity = state.motion(effect, site)[:, 1]
     if effect.coulomb:
         return np.sign(velocity)
-    if not effect.torque:
+    loaded = effect.force is not None and "load" in argument_names(effect.force)
+    if not effect.torque and not loaded:
         return None
     j = [drive.name for drive in state.machine.drives].index(site)
     drive, command = state.machine.drives[j], np.concatenate([run.inputs[:, j] for run in state.data.runs])
     current: Array = (command - drive.emf_constant * velocity) / drive.resistance
-    return current / max(float(np.abs(current).max()), np.finfo(float).tiny)
+    factor = current / max(float(np.abs(current).max()), np.finfo(float).tiny)
+    return np.abs(factor) if loaded else factor  # what the drive pulls, its belts carry on
