@@ -63,10 +63,14 @@ def policy_keywords(policy: Mapping[str, Any], features: Mapping[str, Any]) -> d
     }
 
 
-def policy_class(kind: str) -> Any:
+def policy_class(kind: str, actuation: Mapping[str, Any]) -> Any:
     """Return the class of the policy that an algorithm of `ALGORITHMS` needs for observations with several keys (dict).
 
-    "apg" uses the policy of PPO.
+    "apg" uses the policy of PPO, "sac" uses `LawPolicy` where the observation has the parts of the action.
+
+    Args:
+        kind: Algorithm.
+        actuation: Keyword arguments of `ResidualAction`: the table [actuation] of a recipe.
 
     Raises:
         ImportError: If the extra `agents` is not installed.
@@ -74,6 +78,11 @@ def policy_class(kind: str) -> Any:
     if kind == "crossq":
         # CrossQ has no policy for dicts. This one accepts them, because its first layer is `LogScaleFeatures`.
         return import_optional("sb3_contrib.crossq").MlpPolicy
+    if kind == "sac" and actuation.get("parts"):
+        import_optional("stable_baselines3")
+        from .law_policy import LawPolicy
+
+        return LawPolicy
     module = {"sac": "stable_baselines3.sac", "tqc": "sb3_contrib.tqc"}.get(kind, "stable_baselines3.ppo")
     return import_optional(module).MultiInputPolicy
 
@@ -235,7 +244,7 @@ class Agent(Controller):
         exploration = (
             {"use_sde": True} if card["settings"].get("algorithm", {}).get("use_sde") is True else {}
         )
-        policy = policy_class(card["kind"])(
+        policy = policy_class(card["kind"], card["settings"]["actuation"])(
             mapping.observation_space(space) if mapping else space,
             mapping.action_space() if mapping else action_space(machine),
             lambda _: 0.0,  # learning rate, which only training uses

@@ -71,6 +71,7 @@ class _Actuation(_Table):
     integral: bool = False
     transfers: Annotated[list[Annotated[int, Field(ge=0, le=1000)]], Field(max_length=100)] = []
     plans: Annotated[list[Annotated[int, Field(ge=1, le=1000)]], Field(max_length=100)] = []
+    parts: bool = False
     hold_m: Annotated[FiniteFloat, Field(ge=0.0, le=1e3)] = 0.0
     hold_m_s: Positive = 0.015
 

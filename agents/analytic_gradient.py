@@ -231,7 +231,7 @@ class AnalyticPolicyGradient:
         if self.mapping.laws:  # linear in the state; what they were designed with counts as constant
             volts, gains = (torch.from_numpy(values).float() for values in self.mapping.laws)
             laws = volts + torch.einsum("bkij,bj->bki", gains, observation - observation.detach())
-        return self.mapping.combine(limited(output), distance, speed, entries["last_action"], laws)
+        return self.mapping.parts(distance, speed, entries["last_action"], laws).action(limited(output))
 
     def _base_action(self, entries: Mapping[str, Any], state: Any) -> Any:
         """Return the actions (B, drives) of the base controller as a linear function of the state (B, 2 n), or zero."""

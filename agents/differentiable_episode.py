@@ -13,6 +13,7 @@ import torch
 
 from ..arrays import Array
 from ..dynamics import DifferentiableMotion, Equations, Friction, Motions
+from ..envs.rewards import ARRIVAL_WEIGHTS, SCALES
 from ..envs.tasks.base import ReferenceTrajectories
 from ..envs.workspace import EndStops
 from ..errors import InputError
@@ -26,9 +27,6 @@ FRICTION: Friction = "smoothed"
 # Units of travel, m, and rate, m/s, in which the derivative with respect to the state is limited: typical changes in
 # one period.
 TRAVEL_UNIT, RATE_UNIT = 1e-3, 0.05
-# Lengths s, m, and weights w of `distance_cost`. It resembles the reward "dense", which has equal weights; here a few
-# tenths of a millimeter count most.
-COST_SCALES, COST_WEIGHTS = (2e-1, 2e-2, 2e-3, 2e-4, 2e-5), (0.05, 0.05, 0.3, 0.5, 0.1)
 SMALLEST_DISTANCE = 1e-6  # m, below which the cost is smooth
 # Cost along a path: per CONTOUR_UNIT of rms contour error, and per TRACKING_UNIT of rms distance to the moving goal.
 CONTOUR_UNIT, TRACKING_UNIT = 1e-4, 2e-4  # m; with less weight on the goal, agents learn to stay at the start
@@ -203,9 +201,7 @@ limited: Any = _Limit.apply
 def distance_cost(distance: Any) -> Any:
     """Compute a cost that increases with the distance d to the goal, from 0 at the goal towards 1.
 
-    The cost is the sum over k of w[k] * d / (d + s[k]), with the lengths s = 200, 20, 2, 0.2 and 0.02 mm and the
-    weights w = 0.05, 0.05, 0.3, 0.5 and 0.1. Halving the distance thus reduces the cost noticeably, from 0.2 m down to
-    20 um.
+    It is minus the reward "arrival" (`ArrivalReward`).
 
     Args:
         distance: Distances to the goal, m, tensor of any shape.
@@ -213,7 +209,7 @@ def distance_cost(distance: Any) -> Any:
     Returns:
         Costs, dimensionless, 0 to 1, tensor of the same shape.
     """
-    scales, weights = (torch.tensor(values, dtype=distance.dtype) for values in (COST_SCALES, COST_WEIGHTS))
+    scales, weights = (torch.tensor(values, dtype=distance.dtype) for values in (SCALES, ARRIVAL_WEIGHTS))
     return (weights * distance[..., None] / (distance[..., None] + scales)).sum(-1)
 
 

@@ -46,6 +46,8 @@ INTEGRAL_SCALES = (1e-5, 1e-6)  # m s; an error of 0.1 mm in ten control periods
 STRETCH_SCALES = (1e-3, 1e-4)  # m
 # Fractions of the rated voltage: full voltage, and about the voltage that overcomes Coulomb friction.
 ACTION_SCALES = (1.0, 0.03)
+# Fractions of the rated voltage. At rest at the goal, 0.01 moves the tool by about 0.1 mm in one control period.
+ACTION_CHANGE_SCALES, ACTION_ERROR_SCALES = (0.3, 0.01), (0.05, 0.005)
 FRICTION_VOLTAGE_SCALES = (0.03, 0.003)  # fractions of the rated voltage
 # Fractions of the rated voltage; far from the goal, short transfers ask for up to 30 times the rated voltage.
 TRANSFER_SCALES, LARGEST_TRANSFER = (1.0, 0.05), 30.0
@@ -77,6 +79,7 @@ OBSERVATION_KEYS = (
     "expected_friction",
     "estimates",
     "error_integral",
+    "action",  # of this period, which only critics observe
 )
 
 
@@ -238,6 +241,13 @@ def feature_matrix(
     if gains:
         volts = np.sum([selectors[key] @ np.transpose(values) for key, values in gains.items()], axis=0)
         blocks.append(_scaled_columns(volts, TRANSFER_SCALES, LARGEST_TRANSFER))
+        if "action" in selectors:  # its error as the first action of each transfer
+            repeated = np.tile(selectors["action"], volts.shape[1] // drives)
+            blocks.append(_scaled_columns(repeated - volts, ACTION_ERROR_SCALES, 1.0))
+    if "action" in selectors:
+        blocks.append(_scaled_columns(selectors["action"], ACTION_SCALES, 1.0))
+        change = selectors["action"] - selectors["last_action"]
+        blocks.append(_scaled_columns(change, ACTION_CHANGE_SCALES, 1.0))
     return np.hstack([matrix for matrix, _ in blocks]), np.concatenate([factors for _, factors in blocks])
 
 

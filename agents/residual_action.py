@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium import spaces
@@ -84,6 +84,42 @@ class Authority:
         return (1.0 - distance / self.hold_m - speed / self.hold_m_s).clip(min=0.0)[:, None]
 
 
+class ActionParts(NamedTuple):
+    """What determines the action that results from a policy's outputs; arrays or torch tensors of a batch.
+
+    Attributes:
+        offset: Part that does not depend on the outputs, fractions of the rated voltages, shape (batch, drives).
+        authority: Fraction of the rated voltage that an output of 1 represents, shape (batch, 1).
+        laws: Voltages of K feedback laws, fractions of the rated voltages, shape (batch, K, drives); None without laws.
+    """
+
+    offset: Any
+    authority: Any
+    laws: Any = None
+
+    def action(self, output: Any) -> Any:
+        """Compute the action, not limited to [-1, 1], that results from outputs; it is differentiable in torch.
+
+        It is offset + authority * output of each drive. With laws, the mean of their voltages is added, each limited to
+        +-1.2, with the weights softmax(5 * outputs for the laws).
+
+        Args:
+            output: Policy outputs, dimensionless, shape (batch, drives), or (batch, drives + K) with K laws. First one
+                column per drive, then one per law.
+
+        Returns:
+            The action, fractions of the rated voltages, of the type of `output`, shape (batch, drives).
+        """
+        drives = self.offset.shape[1]
+        action = self.offset + self.authority * output[:, :drives]
+        if self.laws is None:
+            return action
+        # exp(WEIGHT_SCALE * output), as a power of 2 because this works for arrays and for tensors.
+        weights = 2.0 ** (WEIGHT_SCALE / np.log(2.0) * output[:, drives:])
+        limited = self.laws.clip(-LARGEST_WEIGHTED, LARGEST_WEIGHTED)
+        return action + (weights[..., None] * limited).sum(1) / weights.sum(1)[:, None]
+
+
 class ResidualAction:
     """Conversion of policy outputs to actions, action = base + authority * output, for a batch of environments.
 
@@ -98,6 +134,7 @@ class ResidualAction:
         integral: Whether to add the integral of the position error to the observation.
         transfers: Durations, in periods beyond the shortest, of motions to rest at the goal that the policy weights.
         plans: Durations, in periods, of such motions that are designed for the estimated machine instead.
+        parts: Whether to add the `ActionParts` to the observation, so that critics can compute the action.
         **authority: Keyword arguments of `Authority`, which limits the policy's part of the action.
 
     Attributes:
@@ -110,7 +147,8 @@ class ResidualAction:
 
     Raises:
         InputError: If no controller is registered under the name of the base (agents are data: their files cannot name
-            a module to import), or `plans` are given without `estimates` or together with `transfers`.
+            a module to import), `plans` are given without `estimates` or together with `transfers`, or `parts` without
+            either.
     """
 
     def __init__(
@@ -122,6 +160,7 @@ class ResidualAction:
         integral: bool = False,
         transfers: Sequence[int] = (),
         plans: Sequence[int] = (),
+        parts: bool = False,
         **authority: float,
     ) -> None:
         self.authority, self.period = Authority(**authority), period
@@ -145,6 +184,9 @@ class ResidualAction:
         )
         if plans and self._filter:
             self.bank = PlanBank(machine, period, self._filter, plans)
+        if parts and not self.bank:
+            raise InputError("parts = true needs transfers or plans")
+        self._shows_parts = parts
         self.laws: FeedbackLaws | None = None
         self._integrates, self._axes = integral, len(machine.tool_axes)
         self._integral = np.zeros((0, 0))  # of the position error, m s, (batch, axes)
@@ -176,6 +218,10 @@ class ResidualAction:
             added["estimates"] = spaces.Box(-np.inf, np.inf, (self._filter.size,), np.float32)
         if self._integrates:
             added["error_integral"] = spaces.Box(-np.inf, np.inf, (self._axes,), np.float32)
+        if self._shows_parts and self.bank:
+            added["action_offset"] = action_box
+            added["authority"] = spaces.Box(0.0, 1.0, (1,), np.float32)
+            added["law_actions"] = spaces.Box(-np.inf, np.inf, (self.bank.size * self._drives,), np.float32)
         return spaces.Dict({**observation_space.spaces, **added})
 
     def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
@@ -258,6 +304,9 @@ class ResidualAction:
             error_integral: Integral of the position error along each axis while the tool is slow and within 1 mm of the
                 goal, m s, shape (batch, axes); it begins at zero when the error changes sign. Only if the constructor's
                 argument `integral` is True.
+            action_offset, authority, law_actions: The `ActionParts` of this period, the laws joined, dimensionless,
+                shapes (batch, drives), (batch, 1) and (batch, K * drives); only if the constructor's argument `parts`
+                is True.
         """
         added: dict[str, NDArray[Any]] = {
             "last_observation": self._last_observation,
@@ -270,6 +319,10 @@ class ResidualAction:
             added["estimates"] = self._filter.estimates
         if self._integrates:
             added["error_integral"] = self._integral
+        if self._shows_parts:
+            parts = self._parts()
+            added |= {"action_offset": parts.offset, "authority": parts.authority}
+            added["law_actions"] = parts.laws.reshape(len(parts.laws), -1)
         return {key: values.astype(np.float32) for key, values in added.items()}
 
     def action(self, output: NDArray[Any]) -> Actions:
@@ -281,44 +334,29 @@ class ResidualAction:
         Args:
             output: Policy outputs, usually in [-1, 1], with the entries of `action_space`, shape (batch, entries).
         """
-        base_action = self._base_action if self.base else 0.0
-        volts = self.laws.volts if self.laws else None
-        action = self.combine(output, self._distance, self._speed, self._last_action, volts) + base_action
-        self.replace_last_action(np.clip(action, -1.0, 1.0))
+        self.replace_last_action(np.clip(self._parts().action(output), -1.0, 1.0))
         return self._last_action
 
-    def combine(self, output: Any, distance: Any, speed: Any, last_action: Any, laws: Any = None) -> Any:
-        """Compute the policy's part of the actions: without the base action, and not limited to [-1, 1].
+    def _parts(self) -> ActionParts:
+        """Return the parts of the actions of this period, with the base action."""
+        volts = self.laws.volts if self.laws else None
+        parts = self.parts(self._distance, self._speed, self._last_action, volts)
+        return parts._replace(offset=parts.offset + self._base_action) if self.base else parts
 
-        Actions are voltages as fractions of the rated voltages. The policy's part is the sum of:
+    def parts(self, distance: Any, speed: Any, last_action: Any, laws: Any = None) -> ActionParts:
+        """Compute the parts of the actions without the base action, from arrays or torch tensors.
 
-        - held * last action. The last action is limited to +-0.12; `Authority.held` computes held, 0 to 1.
-        - authority * output of each drive. `Authority` computes the authority from distance and speed: the action that
-          an output of 1 represents.
-        - With laws, the mean of their voltages, each limited to +-1.2, with the weights softmax(5 * outputs for the
-          laws). A feedback law is the first voltage of a motion that brings the tool to rest at the goal.
-
-        It works on arrays and on torch tensors, so that training can differentiate it.
+        The offset is held * last action. The last action is limited to +-0.12; `Authority.held` computes held, 0 to 1.
 
         Args:
-            output: Policy outputs, dimensionless, shape (batch, drives), or (batch, drives + K) with K laws. First one
-                column per drive, then one per law.
             distance: Distances to the goal, m, shape (batch,).
             speed: Tool speeds, m/s, shape (batch,).
             last_action: Actions of the previous period, fractions of the rated voltages, shape (batch, drives).
-            laws: Voltages of K feedback laws, fractions of the rated voltages, shape (batch, K, drives). Default: none.
-
-        Returns:
-            The policy's part, fractions of the rated voltages, of the type of `output`, shape (batch, drives).
+            laws: Voltages of K feedback laws, fractions of the rated voltages, shape (batch, K, drives). A law is the
+                first voltage of a motion that brings the tool to rest at the goal. Default: none.
         """
         held = self.authority.held(distance, speed) * last_action.clip(-LARGEST_HELD, LARGEST_HELD)
-        action = held + self.authority(distance, speed) * output[:, : self._drives]
-        if laws is None:
-            return action
-        # exp(WEIGHT_SCALE * output), as a power of 2 because this works for arrays and for tensors.
-        weights = 2.0 ** (WEIGHT_SCALE / np.log(2.0) * output[:, self._drives :])
-        limited = laws.clip(-LARGEST_WEIGHTED, LARGEST_WEIGHTED)
-        return action + (weights[..., None] * limited).sum(1) / weights.sum(1)[:, None]
+        return ActionParts(held, self.authority(distance, speed), laws)
 
     def replace_last_action(self, actions: Actions) -> None:
         """Replace the stored last action with the action that was actually applied.
@@ -342,7 +380,6 @@ def residual_action(machine: Machine, settings: Mapping[str, Any], period: float
         period: Control period, s.
 
     Raises:
-        InputError: If no controller is registered under the name of the base, or `plans` are given without `estimates`
-            or together with `transfers`.
+        InputError: See `ResidualAction`.
     """
     return ResidualAction(machine, period, **settings) if settings else None

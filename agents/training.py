@@ -208,7 +208,7 @@ class _Run:
             buffer = import_optional("stable_baselines3").HerReplayBuffer
             replay = {"replay_buffer_class": buffer, "replay_buffer_kwargs": recipe.hindsight}
         model = _algorithm(recipe.kind)(
-            policy_class(recipe.kind),
+            policy_class(recipe.kind, recipe.actuation),
             self.environment,
             seed=self.seed,
             device="cpu",

@@ -62,9 +62,9 @@ class EnvConfig:
     Args:
         machine: A `Machine`, the name of a machine preset ("hframe", ...) or the path of a machine.json.
         task: Registered name ("reach", "track"), `package.module:name`, or a `Task`.
-        reward: Registered name ("dense", "sparse", "progress"), `package.module:name`, or a function of achieved and
-            desired tool positions, m, shape (n, axes) each, that returns n rewards. Default: "dense", with `normalize`
-            "progress".
+        reward: Registered name ("dense", "sparse", "arrival", "progress"), `package.module:name`, or a function of
+            achieved and desired tool positions, m, shape (n, axes) each, that returns n rewards. Default: "dense", with
+            `normalize` "progress".
         randomize: "none", "default", "wide", "identified" (from the covariance of a machine.json that `hframe identify`
             wrote), or a list of `RandomizeParameter` and `RandomizeIdentified`.
         sensors: What is observed: "state" (the true positions and velocities of x, y and the driven coordinates), "rig"

@@ -153,6 +153,7 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
     With d the distance from `achieved_goal` to `desired_goal`:
 
     - `"dense"`: minus the mean of d / (d + scale) over scales from 0.2 m to 20 um; 0 at the goal, near -1 far from it.
+    - `"arrival"`: likewise with the weights 0.05, 0.05, 0.3, 0.5 and 0.1, so that the last millimeters count most.
     - `"progress"`: ln((1 mm + d before the step) / (1 mm + d)) + 1 / (1 + d / 2 mm); what `normalize=True` chooses.
     - `"sparse"`: 0 within the task's band (1 mm), else -1.
     - a function of (achieved, desired), or a registered name.

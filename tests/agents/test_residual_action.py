@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hframe_gym.agents.features import VARIANTS
-from hframe_gym.agents.residual_action import LARGEST_HELD, Authority, ResidualAction
+from hframe_gym.agents.residual_action import LARGEST_HELD, ActionParts, Authority, ResidualAction
 from hframe_gym.controllers import CONTROLLERS
 from hframe_gym.envs import HFrameVectorEnv, observation_space
 from hframe_gym.errors import InputError
@@ -119,6 +119,25 @@ def test_outputs_weight_the_voltages_of_transfers():
     mapping.reset()
     mapping.augment(rest_observation(MACHINE, (0.1, 0.0), (0.1, 0.0)))
     assert np.abs(mapping.laws.volts).max() < 1e-3
+
+
+def test_the_shown_parts_give_the_action_that_is_applied():
+    mapping = ResidualAction(MACHINE, 0.01, base="pid", hold_m=5e-4, transfers=[0, 4], parts=True)
+    mapping.augment(rest_observation(MACHINE, (0.1, 0.0), (0.1, 0.0)))
+    mapping.replace_last_action(np.array([[0.08, -0.05]]))
+    shown = mapping.augment(rest_observation(MACHINE, (0.1, 0.0), (0.1002, 0.0001)))
+    space = mapping.observation_space(observation_space(MACHINE))
+    assert {key: values.shape[1:] for key, values in shown.items()} == {k: v.shape for k, v in space.items()}
+    output = np.random.default_rng(0).uniform(-1.0, 1.0, (1, *mapping.action_space().shape))
+    laws = shown["law_actions"].reshape(1, mapping.bank.size, 2)
+    found = ActionParts(shown["action_offset"], shown["authority"], laws).action(output)
+    assert np.abs(found).max() > 0.01
+    assert mapping.action(output) == pytest.approx(np.clip(found, -1.0, 1.0), abs=1e-5)
+
+
+def test_parts_without_laws_are_refused():
+    with pytest.raises(InputError, match="parts = true needs transfers or plans"):
+        ResidualAction(MACHINE, 0.01, parts=True)
 
 
 def test_plans_follow_the_estimates():

@@ -29,6 +29,13 @@ def test_the_dense_reward_pays_for_every_halving():
     assert dense([0.0])[0] == 0.0
 
 
+def test_the_arrival_reward_pays_most_for_the_last_millimeters():
+    d = np.array([[0.2, 0.0], [0.01, 0.0], [1e-3, 0.0], [2e-4, 0.0], [0.0, 0.0]], np.float32)
+    gains, of_dense = np.diff(as_reward("arrival", 1e-3)(d, np.zeros_like(d))), np.diff(dense(d[:, 0]))
+    assert gains / of_dense == pytest.approx([0.45, 1.22, 1.80, 1.22], abs=0.01)
+    assert gains.sum() == pytest.approx(0.967, abs=1e-3)
+
+
 @pytest.mark.parametrize("reward", ["dense", "sparse"])
 @pytest.mark.parametrize("ends", ["stops", "terminate"])
 def test_compute_reward_returns_the_bits_of_step(reward, ends):
@@ -116,7 +123,7 @@ def test_a_function_of_another_shape_is_refused():
 
 
 @pytest.mark.parametrize("normalize", [False, True])
-@pytest.mark.parametrize("reward", ["dense", "sparse", "progress"])
+@pytest.mark.parametrize("reward", ["dense", "arrival", "sparse", "progress"])
 @pytest.mark.parametrize("task", ["reach", "track"])
 def test_the_compiled_rewards_equal_those_from_goals_as_observed(reward, normalize, task):
     envs = HFrameVectorEnv(
