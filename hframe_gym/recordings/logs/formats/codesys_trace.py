@@ -1,0 +1,74 @@
+"""Traces of CODESYS and of controllers built on it: one block of a text file for each variable, with its own times."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from typing_extensions import override
+
+from ....arrays import Array
+from ....errors import InputError
+from ...text_reader import Progress
+from ..log import Log
+from .base import KNOWN_TEXT, LOG_FORMATS, LogFormat
+from .tables import TimedTable, log_of_tables, signal_columns
+
+_START = b"[key]; [value]"
+_VARIABLE = re.compile(r"^\d+\.Variable; *(.+?) *$", re.MULTILINE)
+_ROW = re.compile(r"^; *([-+\d.eE]+); *([-+\w.]+) *$", re.MULTILINE)
+_TRUTH = {"TRUE": 1.0, "FALSE": 0.0}
+_MILLISECONDS = 1e-3  # s, the unit of the times
+
+
+@LOG_FORMATS.register("codesys_trace")
+class CodesysTraces(LogFormat):
+    """Traces saved as text (.trace.csv or .txt)."""
+
+    suffixes = ()
+    precedence = KNOWN_TEXT
+
+    @override
+    def recognizes(self, path: Path, start: bytes) -> bool:
+        """Recognize the first line."""
+        return start.removeprefix(b"\xef\xbb\xbf").startswith(_START)
+
+    @override
+    def open(self, path: Path) -> list[Log]:
+        """Read all variables."""
+        text = path.read_text(encoding="utf-8-sig", errors="replace")
+        starts = [*_VARIABLE.finditer(text)]
+        ends = [match.start() for match in starts[1:]] + [len(text)]
+        tables = [
+            _table(path, match[1], text[match.end() : end]) for match, end in zip(starts, ends, strict=True)
+        ]
+        if not any(table.columns for table in tables):
+            raise InputError(f"{path}: is a trace of CODESYS without samples; record it, and save it again")
+        remarks = ("it is a trace of CODESYS", "times are taken in ms")
+        return [log_of_tables(path, [table for table in tables if table.columns], remarks)]
+
+
+def _table(path: Path, name: str, block: str) -> TimedTable:
+    """Return the table of a variable from its block; one without columns if it has no samples."""
+    rows = _ROW.findall(block)
+    try:
+        samples = np.array([[float(time), _number(value)] for time, value in rows]).reshape(-1, 2)
+    except ValueError as error:
+        raise InputError(f"{path}, variable {name}: {error}; remove the variable from the trace") from None
+
+    def read(
+        indices: Sequence[int], progress: Progress | None
+    ) -> tuple[NDArray[Any], list[Array], list[str]]:
+        return samples[:, 0] * _MILLISECONDS, [samples[:, 1] for _ in indices], []
+
+    columns = signal_columns([name]) if len(samples) else ()
+    return TimedTable(name, columns, read)
+
+
+def _number(value: str) -> float:
+    """Return a value as a number; truth values are 1 and 0."""
+    return _TRUTH[value] if value in _TRUTH else float(value)
