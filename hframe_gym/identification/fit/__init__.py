@@ -1,1 +1,1 @@
-"""Fit a machine's parameters to recordings, with the error of the model, the runs' starts and covariances."""
+"""Fit a machine's parameters to recordings: starts of the runs, covariances, error and missing force of the model."""
