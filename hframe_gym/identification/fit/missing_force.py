@@ -7,6 +7,7 @@ prediction, see `prediction`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
 from typing import NamedTuple
 
@@ -270,7 +271,47 @@ def _observed_forces(machine: Machine, period: float) -> _ObservedForces:
     return _ObservedForces(motion_gains @ distribution, motion_gains, first, second, modes, distribution)
 
 
-def missing_force(machine: Machine, data: Dataset, cutoff: float = _RESIDUAL_CUTOFF) -> dict[str, Array]:
+class FollowedRun(NamedTuple):
+    """Motion of a machine along a run of n samples, corrected by the observer of 60 rad/s.
+
+    Attributes:
+        positions: Predicted positions, m or rad, shape (n, coordinates).
+        velocities: Predicted velocities, m/s or rad/s, shape (n, coordinates).
+        innovation: Measured minus predicted values, m or rad, 0 where not measured, shape (n, sensors).
+    """
+
+    positions: Array
+    velocities: Array
+    innovation: Array
+
+
+def follow_runs(machine: Machine, data: Dataset) -> list[FollowedRun]:
+    """Predict all runs with the observer of 60 rad/s, from the starts that need the smallest corrections.
+
+    Args:
+        machine: Machine that predicts.
+        data: Measured runs (times, voltages, measurements, SI).
+
+    Returns:
+        Motion and innovations of each run, arrays of shape (n, ...) for a run of n samples, SI.
+    """
+
+    def of_run(run: PreparedRecording) -> FollowedRun:
+        start = start_for_observer(machine, run, data)
+        motion = predict(machine, run, SEARCH_BANDWIDTH, period=data.period, initial_state=start, states=True)
+        innovation = _innovation(motion.readings, machine, run, start)[0]
+        return FollowedRun(motion.positions[0], motion.velocities[0], innovation)
+
+    return list(map_runs(of_run, data))
+
+
+def missing_force(
+    machine: Machine,
+    data: Dataset,
+    cutoff: float = _RESIDUAL_CUTOFF,
+    *,
+    followed: Sequence[FollowedRun] | None = None,
+) -> dict[str, Array]:
     """Estimate the force that the model lacks along all runs, together with the motion.
 
     An observer corrects the prediction by the measurements. Above its bandwidth (60 rad/s), its correcting force lags
@@ -281,6 +322,7 @@ def missing_force(machine: Machine, data: Dataset, cutoff: float = _RESIDUAL_CUT
         machine: Machine that predicts.
         data: Measured runs with n rows in total (times, voltages, measurements, SI).
         cutoff: Cut-off frequency, Hz. Default: 30, for small periodic forces; narrow forces need more.
+        followed: The runs as the machine follows them. Default: of `follow_runs`.
 
     Returns:
         By coordinate name, an array of shape (n, 3) with the columns position, velocity and missing force: m, m/s, N
@@ -289,18 +331,16 @@ def missing_force(machine: Machine, data: Dataset, cutoff: float = _RESIDUAL_CUT
     """
     observed = _observed_forces(machine, data.period)
 
-    def of_run(run: PreparedRecording) -> Array:
-        start = start_for_observer(machine, run, data)
-        motion = predict(machine, run, SEARCH_BANDWIDTH, period=data.period, initial_state=start, states=True)
-        correcting = _innovation(motion.readings, machine, run, start)[0] @ observed.motion_gains
-        force = _inverted(correcting, observed, run, data, cutoff)
-        return np.stack([motion.positions[0], motion.velocities[0], force @ observed.distribution], axis=2)
+    def of_run(run: PreparedRecording, motion: FollowedRun) -> Array:
+        force = _inverted(motion.innovation @ observed.motion_gains, observed, run, data, cutoff)
+        return np.stack([motion.positions, motion.velocities, force @ observed.distribution], axis=2)
 
-    by_coordinate = np.concatenate(list(map_runs(of_run, data)))  # (n, coordinates, 3)
+    followed = follow_runs(machine, data) if followed is None else followed
+    by_coordinate = np.concatenate(list(map(of_run, data.runs, followed)))  # (n, coordinates, 3)
     return {name: by_coordinate[:, i] for i, name in enumerate(machine.coordinate_names)}
 
 
-def sensor_errors(machine: Machine, data: Dataset) -> dict[str, Array]:
+def sensor_errors(machine: Machine, followed: Sequence[FollowedRun]) -> dict[str, Array]:
     """Return what an observer has not corrected yet of the errors of sensors of positions, together with the motion.
 
     Errors that change faster than the bandwidth of the observer (60 rad/s; 25 rad/s of lasers beside encoders) are
@@ -308,7 +348,7 @@ def sensor_errors(machine: Machine, data: Dataset) -> dict[str, Array]:
 
     Args:
         machine: Machine that predicts.
-        data: Measured runs with n rows in total (times, voltages, measurements, SI).
+        followed: The runs as it follows them, n rows in total.
 
     Returns:
         By channel, an array of shape (n, 3) with the columns position and velocity of the coordinate that the sensor
@@ -316,16 +356,19 @@ def sensor_errors(machine: Machine, data: Dataset) -> dict[str, Array]:
     """
     channels = {s.channel: j for j, s in enumerate(machine.sensors) if s.of_position}
     coordinates = [machine.coordinate_names.index(machine.sensors[j].coordinate) for j in channels.values()]
-
-    def of_run(run: PreparedRecording) -> Array:
-        start = start_for_observer(machine, run, data)
-        motion = predict(machine, run, SEARCH_BANDWIDTH, period=data.period, initial_state=start, states=True)
-        errors = _innovation(motion.readings, machine, run, start)[0][:, list(channels.values())]
-        return np.stack(
-            [motion.positions[0][:, coordinates], motion.velocities[0][:, coordinates], errors], axis=2
-        )
-
-    by_channel = np.concatenate(list(map_runs(of_run, data)))  # (n, channels, 3)
+    by_channel = np.concatenate(  # (n, channels, 3)
+        [
+            np.stack(
+                [
+                    run.positions[:, coordinates],
+                    run.velocities[:, coordinates],
+                    run.innovation[:, list(channels.values())],
+                ],
+                axis=2,
+            )
+            for run in followed
+        ]
+    )
     return {channel: by_channel[:, k] for k, channel in enumerate(channels)}
 
 

@@ -21,7 +21,7 @@ from ...preparation.dataset import Dataset
 from ...registry import Registry
 from ..fit.estimation import Fit
 from ..fit.force_sizes import SESSION, TypicalScales, typical_scales
-from ..fit.missing_force import missing_force, sensor_errors
+from ..fit.missing_force import follow_runs, missing_force, sensor_errors
 from ..predict.free_parameters import FreeParameter
 from ..predict.prediction import SEARCH_BANDWIDTH
 from .periodogram import MIN_FORCE_PERIODS, MIN_FRICTION_PERIODS
@@ -136,9 +136,15 @@ class SearchState:
         Returns:
             State with the missing force of each coordinate and the errors of each sensor, shape (n, 3) each.
         """
-        scales, missing = typical_scales(fitted, data), missing_force(fitted.machine, data)
-        slow, errors = fitted.bandwidth < SEARCH_BANDWIDTH, sensor_errors(fitted.machine, data)
-        return cls(fitted.machine, data, scales, missing, slow, errors)
+        followed = follow_runs(fitted.machine, data)
+        return cls(
+            fitted.machine,
+            data,
+            typical_scales(fitted, data),
+            missing_force(fitted.machine, data, followed=followed),
+            slow=fitted.bandwidth < SEARCH_BANDWIDTH,
+            sensor_errors=sensor_errors(fitted.machine, followed),
+        )
 
     def sites(self, effect: Effect) -> tuple[str, ...]:
         """Return the sites at which the machine may lack an effect, and where a strategy may propose it.
