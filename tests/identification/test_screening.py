@@ -9,9 +9,10 @@ import pytest
 
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset, Fit, default_free_parameters, fit, prepare, screen
+from hframe_gym.identification.fit.force_sizes import typical_scales
 from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH, SIMULATION, predict
 from hframe_gym.identification.propose.candidates import Candidate
-from hframe_gym.identification.propose.screening import candidate_perturbations
+from hframe_gym.identification.propose.screening import candidate_perturbations, screen_structures
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import Recording
 
@@ -127,6 +128,19 @@ def test_columns_of_several_candidates_keep_their_order(axis: Machine) -> None:
 def test_no_candidates_give_no_scores(axis: Machine) -> None:
     fitted, data = fit_without_effect(axis, 0.0)
     assert screen(fitted, [], data) == []
+
+
+def test_a_clock_whose_rate_changes_ranks_first(axis: Machine) -> None:
+    """Its actual samples are later than its stamps, by a t^2/2."""
+    plain, a = recorded(axis), 0.01
+    actual_s = plain.time_s + 0.5 * a * plain.time_s**2
+    noise = plain.outputs - axis.simulate(plain.time_s, plain.inputs).outputs
+    drifting = dataclasses.replace(plain, outputs=axis.simulate(actual_s, plain.inputs).outputs + noise)
+    data = prepare([drifting], axis)
+    current = fit(axis, default_free_parameters(axis), data, SEARCH_BANDWIDTH)
+    best, *_ = screen_structures(current, data, typical_scales(current, data), 0.0)
+    assert best.effects[-1].label == "clock_drift@machine"
+    assert best.effects[-1].parameters["a"] > 0.0
 
 
 def test_which_effects_replace_a_part_of_the_model() -> None:
