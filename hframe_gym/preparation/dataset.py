@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,28 @@ from .rest_measurement import InitialState
 
 Array = NDArray[np.float64]
 MIN_ROWS = 20  # rows of a run that the filters of the residual need
+
+
+class VoltageErrors(Protocol):
+    """Errors of the voltages of a run that are interpolated between its rows."""
+
+    def whiten(self, residual: Array, bandwidth: float) -> Array:
+        """Return a residual whose values are independent in spite of these errors, with unit variance.
+
+        Args:
+            residual: Residuals of a batch of predictions, in units of the noise, shape (batch, n * sensors).
+            bandwidth: Bandwidth of the observer that corrected the predictions by the measurements, rad/s.
+
+        Returns:
+            White residuals of an exact machine, dimensionless, same shape.
+        """
+
+    def log_variance(self, bandwidth: float) -> Array:
+        """Return the logarithm of the variance of each value before it was whitened, shape (n, sensors).
+
+        Args:
+            bandwidth: Bandwidth of the observer that corrected the predictions by the measurements, rad/s.
+        """
 
 
 class RunObserver(NamedTuple):
@@ -55,6 +77,7 @@ class PreparedRecording:
             None: that of the prediction or fit.
         updates: How many times the voltages change from one row to the next: more than once if the controller is faster
             than the log. They are then interpolated between the rows (`voltage_updates`).
+        voltage_errors: What is known of the errors of interpolated voltages; None if the voltages are held.
     """
 
     name: str
@@ -67,6 +90,7 @@ class PreparedRecording:
     dropped: NDArray[np.bool_]
     observer_bandwidth: float | None = None
     updates: int = 1
+    voltage_errors: VoltageErrors | None = field(default=None, repr=False, compare=False)
 
     def bandwidth(self, of_prediction: float) -> float:
         """Return the bandwidth of the observer that corrects a prediction of this run by the measurements.
@@ -156,6 +180,11 @@ class Dataset:
             Copy with these runs (measurements of shape (n, sensors) each), in the order of this data set.
         """
         return dataclasses.replace(self, runs=tuple(run for run in self.runs if run.name in names))
+
+    @property
+    def has_voltage_errors(self) -> bool:
+        """Whether the voltages are interpolated between the rows, with errors that residuals take into account."""
+        return any(run.voltage_errors is not None for run in self.runs)
 
     @property
     def updates(self) -> int:

@@ -13,11 +13,10 @@ from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import identify, prepare
 from hframe_gym.identification.fit.lost_voltages import (
     _count_unknown_rows,
-    _groups_together,
-    _linearize,
     estimate_lost_voltages,
     with_lost_voltages,
 )
+from hframe_gym.identification.predict.voltage_responses import _groups_together, voltage_responses
 from hframe_gym.identification.validate.recording_simulation import simulate_recording
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import Recording
@@ -140,8 +139,11 @@ def jacobians(run: Recording, machine: Machine, bandwidth: float) -> tuple[Array
     """Return the Jacobian with several rows in one prediction, and with one row in each prediction."""
     data = prepare([run], machine)
     rows = np.flatnonzero(data.runs[0].dropped)
-    together, _ = _linearize(machine, data.runs[0], data, rows, bandwidth)
-    alone = [_linearize(machine, data.runs[0], data, rows[k : k + 1], bandwidth)[0] for k in range(len(rows))]
+    together, _ = voltage_responses(machine, data.runs[0], data, rows, bandwidth)
+    alone = [
+        voltage_responses(machine, data.runs[0], data, rows[k : k + 1], bandwidth)[0]
+        for k in range(len(rows))
+    ]
     return together.toarray(), np.hstack([one.toarray() for one in alone])
 
 
@@ -161,7 +163,10 @@ def test_few_histories_are_predicted_together() -> None:
     data = prepare([run], HFRAME)
     rows = np.flatnonzero(data.runs[0].dropped)
     model = HFRAME, data.runs[0], data, rows, 60.0
-    (together, residual), (divided, same) = _linearize(*model), _linearize(*model, most_values=30_000)
+    (together, residual), (divided, same) = (
+        voltage_responses(*model),
+        voltage_responses(*model, most_values=30_000),
+    )
     np.testing.assert_array_equal(together.toarray(), divided.toarray())
     np.testing.assert_array_equal(residual, same)
     assert [_groups_together(30_000, values) for values in (3_000, 7_000, 30_001)] == [10, 4, 1]

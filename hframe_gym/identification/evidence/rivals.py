@@ -14,10 +14,10 @@ from ...effects import effect_sites
 from ...machine import AppliedEffect, Machine
 from ...preparation.dataset import Dataset
 from ..fit.estimation import Fit
-from ..fit.model_error import continue_fit, likelihood_loss, polish
+from ..fit.model_error import bandwidths_for, continue_fit, likelihood_loss, polish
 from ..judge.criteria import SelectionCriteria
 from ..judge.rival import RivalEvidence, chance_margin, equal_margin, is_likelier, preference, remains_rival
-from ..predict.prediction import SEARCH_BANDWIDTH, SIMULATION
+from ..predict.prediction import SEARCH_BANDWIDTH
 from ..propose.candidates import is_required
 from ..propose.trial_fits import fit_in_place_of
 from .significance import long_run_variance
@@ -209,7 +209,8 @@ def _polished(fitted: Fit, data: Dataset) -> Fit:
 
     The longer integration step of the search is too inaccurate to distinguish a delay of 0.1 ms from a lag.
     """
-    fits = [fitted] if fitted.bandwidth == SIMULATION else [fitted, continue_fit(fitted, data, SIMULATION)]
+    narrowest = bandwidths_for(data)[-1]
+    fits = [fitted] if fitted.bandwidth == narrowest else [fitted, continue_fit(fitted, data, narrowest)]
     return min(
         (polish(start, data) for start in fits), key=lambda candidate: likelihood_loss(candidate, data)
     )

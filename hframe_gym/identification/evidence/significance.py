@@ -17,14 +17,20 @@ from ...preparation.dataset import Dataset
 from ..fit.covariance import BLOCK_S
 from ..fit.estimation import Fit
 from ..fit.force_sizes import drive_force, effect_force, force_difference, residue_force
-from ..fit.model_error import continue_fit, fit_with_model_error, leave_one_out_gain, narrower_observer
+from ..fit.model_error import (
+    continue_fit,
+    fit_with_model_error,
+    has_narrowest_observer,
+    leave_one_out_gain,
+    narrower_observer,
+)
 from ..judge import effect as judge
 from ..judge.chance import LongRunVariance
 from ..judge.criteria import SelectionCriteria
 from ..judge.effect import Addition, Chance, EffectEvidence, Forces, ParameterValue
 from ..predict.free_parameters import prior_precision
 from ..predict.linearization import ResidualModel, RunLinearization
-from ..predict.prediction import SIMULATION, block_size, map_runs
+from ..predict.prediction import block_size, map_runs
 from ..propose.candidates import covered_by_runs
 from .machine_validation import validation_fault
 
@@ -199,7 +205,7 @@ def effect_evidence(without: Fit, with_effect: Fit, effect: AppliedEffect, data:
         confirmed=lambda: leave_one_out_gain(without, with_effect, data),
         fault=lambda: validation_fault(with_effect.machine),
         chance=lambda: _chance(without, with_effect, effect, data),
-        chance_narrower=None if with_effect.bandwidth == SIMULATION else narrower,
+        chance_narrower=None if has_narrowest_observer(with_effect, data) else narrower,
         forces=lambda: _forces(without, with_effect, effect, data),
         forces_accurate=lambda: _forces(without, fit_with_model_error(with_effect, data), effect, data),
         drives=lambda: drive_force(with_effect.machine, data),

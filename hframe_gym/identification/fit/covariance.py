@@ -13,11 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri, stdtrit
 
+from ...dynamics.simulation import Motion
 from ...machine import Machine, Uncertainty
 from ...preparation.dataset import Dataset, PreparedRecording
 from ..predict.free_parameters import parameter_table, prior_precision
 from ..predict.linearization import ResidualModel, has_impacts
-from ..predict.prediction import POLISH_STEP, block_size, map_runs, predict, residuals
+from ..predict.prediction import POLISH_STEP, block_size, map_runs, predict, residuals, whitened
 from ..predict.start_uncertainty import (
     InitialStateProjection,
     UncertainStart,
@@ -218,9 +219,13 @@ def _linearize(
         initial_state=start.state,
         longest_step=POLISH_STEP,
     )
-    rows, displaced = np.split(residuals(run, data, motion.readings), [len(thetas)])
+
+    def residual_of(predicted: Motion) -> Array:
+        return whitened(residuals(run, data, predicted.readings), run, fitted.bandwidth)
+
+    rows, displaced = np.split(residual_of(motion), [len(thetas)])
     projection = InitialStateProjection.from_displaced(rows[0], displaced)
-    rows = np.vstack([rows, residuals(run, data, delayed_motion.readings)])
+    rows = np.vstack([rows, residual_of(delayed_motion)])
     # Where the simulation diverges with changed parameters, the residual counts as unchanged.
     rows = np.where(np.isfinite(rows).all(axis=1, keepdims=True), rows, rows[0])
     if projection is not None:

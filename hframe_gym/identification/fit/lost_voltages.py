@@ -23,18 +23,10 @@ from scipy.interpolate import CubicSpline
 from scipy.sparse.linalg import spsolve
 
 from ...machine import Machine
-from ...preparation.belt_stretch import rigid_basis
 from ...preparation.dataset import Dataset, PreparedRecording
 from ..predict.free_parameters import default_free_parameters
-from ..predict.prediction import (
-    LONGEST_OBSERVER_PERIOD,
-    POLISH_STEP,
-    SEARCH_BANDWIDTH,
-    map_runs,
-    mechanical_rows_per_block,
-    predict,
-    residuals,
-)
+from ..predict.prediction import SEARCH_BANDWIDTH, map_runs
+from ..predict.voltage_responses import voltage_responses
 from .estimation import fit
 from .model_error import continue_fit
 
@@ -43,13 +35,8 @@ Rows = NDArray[np.intp]
 _VOLTAGE_ITERATIONS = 5  # of voltages in dropped rows and parameters in turn
 _LONGEST_GAP = 20  # rows; voltages in longer gaps stay interpolated
 _BANDWIDTHS = (SEARCH_BANDWIDTH, SEARCH_BANDWIDTH / 4.0)  # rad/s
-# Product of the observer's bandwidth and the time after which it has corrected the response to a row; the bandwidth of
-# lasers beside encoders is 5/12 of it.
-_RESPONSE = 18.0
-_VALUES = 4_000_000  # measurements that are predicted together; limits the memory to some hundred megabytes
 _SMALLEST_ERROR = 1e-6  # V, of interpolation
 _MIN_PREDICTIONS = 10  # recorded rows that show how accurate interpolation is
-_PULSE = 0.1  # V, for the linearization
 _EVALUATIONS = 8  # of the posterior density, at most
 _SHORTER = 0.3  # factor for a step that does not increase the posterior density
 _SMALLEST_DECREASE = (
@@ -204,7 +191,7 @@ def _posterior(
     """
     weights = 1.0 / unknowns.deviations.ravel() ** 2
     prior = sparse.csr_array(sparse.diags_array(weights))
-    jacobian, residual = _linearize(machine, run, data, unknowns.rows, bandwidth)
+    jacobian, residual = voltage_responses(machine, run, data, unknowns.rows, bandwidth)
     if not (np.isfinite(residual).all() and np.isfinite(jacobian.data).all()):
         return np.inf, np.zeros(len(weights)), prior
     count = max(int(np.count_nonzero(residual)), 1)
@@ -282,94 +269,3 @@ def _interpolated_drive(time_s: Array, recorded: Array, rows: Rows, length: int)
     regressors = np.column_stack([np.ones(usable.sum()), (after - before)[usable] ** 2])
     constant, factor = optimize.nnls(regressors, errors[best, usable])[0]
     return voltages, np.sqrt(constant + factor * change**2)
-
-
-def _linearize(
-    machine: Machine,
-    run: PreparedRecording,
-    data: Dataset,
-    rows: Rows,
-    bandwidth: float,
-    most_values: int = _VALUES,
-) -> tuple[sparse.csr_array, Array]:
-    """Return the derivative of the residual with respect to the voltages in dropped rows, and the residual.
-
-    Rows whose responses do not overlap are perturbed in the same prediction. Every residual lacks its mean, the error
-    of the sensor's zero, which depends on all of these rows; alternating directions keep it small. Residuals within
-    4 ms are combined into one.
-
-    Args:
-        machine: Machine that predicts.
-        run: Run to predict, n samples.
-        data: Data set of the run.
-        rows: Dropped rows, in ascending order, shape (r,).
-        bandwidth: Bandwidth of the observer that corrects the prediction, rad/s.
-        most_values: Measurements that are predicted together, at most, unless one perturbation has more.
-
-    Returns:
-        Jacobian, 1/V, shape (m, r * drives), and residual, dimensionless, shape (m,), with m values in n rows.
-
-    References:
-        Curtis, Powell and Reid (1974), on the estimation of sparse Jacobian matrices.
-    """
-    drives = run.inputs.shape[1]
-    length = _response_length(machine, run, data, bandwidth)
-    groups, pulses = _groups(rows, length)
-    per_block = min(mechanical_rows_per_block(data), len(run.time_s))
-    blocks, sensors = len(run.time_s) // per_block, run.outputs.shape[1]
-    measured = np.isfinite(run.outputs[: blocks * per_block]).reshape(blocks, per_block, sensors).mean(axis=1)
-    scales = 1.0 / np.sqrt(
-        np.where(measured > 0.0, measured, 1.0)
-    )  # for unit noise where cells of a block are blank
-
-    def predicted(inputs: Array) -> Array:
-        """Return residuals for several histories of the voltages, shape (histories, blocks, sensors)."""
-        motion = predict(machine, run, bandwidth, period=data.period, inputs=inputs, longest_step=POLISH_STEP)
-        return residuals(run, data, motion.readings, per_block).reshape(len(inputs), blocks, sensors) * scales
-
-    residual = predicted(run.inputs[None])[0]
-    begins, ends = rows // per_block, np.minimum(-(-(rows + length) // per_block), blocks)
-    indices = [np.arange(begin * sensors, end * sensors) for begin, end in zip(begins, ends, strict=True)]
-    pointers = np.concatenate([[0], np.cumsum([len(of_row) for of_row in indices for _ in range(drives)])])
-    values = np.zeros(pointers[-1])
-    together = _groups_together(most_values, run.outputs.size * drives)
-    for first in range(0, int(groups.max()) + 1, together):
-        members = np.flatnonzero((groups >= first) & (groups < first + together))
-        inputs = np.tile(run.inputs, (int(groups[members].max() + 1 - first) * drives, 1, 1))
-        predictions = (groups[members, None] - first) * drives + np.arange(drives)  # (members, drives)
-        inputs[predictions, rows[members, None], np.arange(drives)] += pulses[members, None]
-        responses = predicted(inputs) - residual
-        for k, of_row in zip(members, predictions, strict=True):
-            response = responses[of_row, begins[k] : ends[k]] / pulses[k]  # (drives, blocks, sensors)
-            values[pointers[k * drives] : pointers[(k + 1) * drives]] = response.ravel()
-    positions = np.concatenate([of_row for of_row in indices for _ in range(drives)])
-    shape = (residual.size, len(rows) * drives)
-    return sparse.csc_array((values, positions, pointers), shape=shape).tocsr(), residual.ravel()
-
-
-def _groups_together(most_values: int, values: int) -> int:
-    """Return how many groups, with that many values each, are predicted at once."""
-    return max(1, most_values // values)
-
-
-def _response_length(machine: Machine, run: PreparedRecording, data: Dataset, bandwidth: float) -> int:
-    """Return after how many rows the observer has corrected the response to the voltage of a row.
-
-    It corrects in measured rows only. The sensors that measure most often and together see every motion of the machine
-    that stretches no belt count.
-    """
-    seen = machine.sensor_matrix @ rigid_basis(machine)  # (sensors, motions)
-    measured = np.isfinite(run.outputs).mean(axis=0)  # fraction of the rows, of each sensor
-    rank = np.linalg.matrix_rank(seen[measured > 0.0])
-    fraction = max(f for f in measured[measured > 0.0] if np.linalg.matrix_rank(seen[measured >= f]) == rank)
-    return max(1, round(_RESPONSE / (bandwidth * min(data.period, LONGEST_OBSERVER_PERIOD) * fraction)))
-
-
-def _groups(rows: Rows, length: int) -> tuple[Rows, Array]:
-    """Return groups of rows that are at least a length apart, and pulses in alternating directions, V, (r,) each."""
-    groups, pulses, last = np.zeros(len(rows), dtype=int), np.zeros(len(rows)), list[tuple[int, float]]()
-    for k, row in enumerate(rows):
-        groups[k] = next((g for g, (previous, _) in enumerate(last) if row - previous >= length), len(last))
-        pulses[k] = -last[groups[k]][1] if groups[k] < len(last) else _PULSE
-        last[groups[k] : groups[k] + 1] = [(row, pulses[k])]
-    return groups, pulses

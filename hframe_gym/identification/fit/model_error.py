@@ -27,7 +27,14 @@ from ...preparation.dataset import Dataset
 from ..judge import run as judge
 from ..judge.observer import likeliest, simulates_best
 from ..judge.run import MIN_RUNS_COMPARED
-from ..predict.prediction import POLISH_STEP, SEARCH_BANDWIDTH, SEARCH_STEP, SIMULATION, innovation_variance
+from ..predict.prediction import (
+    NARROWEST_WITH_VOLTAGE_ERRORS,
+    POLISH_STEP,
+    SEARCH_BANDWIDTH,
+    SEARCH_STEP,
+    SIMULATION,
+    innovation_variance,
+)
 from .estimation import Fit, cross_validation, fit, prediction_cost
 
 Array = NDArray[np.float64]
@@ -52,6 +59,27 @@ def search_step(bandwidth: float) -> float:
         Maximum integration step, s: 0.5 ms at 60 rad/s; 0.25 ms below, where integration errors accumulate.
     """
     return SEARCH_STEP if bandwidth >= SEARCH_BANDWIDTH else _SEARCH_STEP_NARROW
+
+
+def bandwidths_for(data: Dataset) -> tuple[float, ...]:
+    """Return the bandwidths of the observers that suit a data set, rad/s, descending.
+
+    Args:
+        data: Runs to fit. Errors of interpolated voltages add up in a simulation; they need an observer.
+    """
+    if not data.has_voltage_errors:
+        return BANDWIDTHS
+    return tuple(b for b in BANDWIDTHS if b >= NARROWEST_WITH_VOLTAGE_ERRORS)
+
+
+def has_narrowest_observer(fitted: Fit, data: Dataset) -> bool:
+    """Return whether no narrower observer suits the data of a fit.
+
+    Args:
+        fitted: Fit at one of the bandwidths of `bandwidths_for`.
+        data: Runs that were fitted.
+    """
+    return fitted.bandwidth <= bandwidths_for(data)[-1]
 
 
 def likelihood_loss(fitted: Fit, data: Dataset) -> float:
@@ -87,7 +115,8 @@ def narrower_observer(fitted: Fit, data: Dataset) -> Fit:
     Returns:
         Fit, bandwidth in rad/s (after 3: 0, a simulation): machine, parameters (theta, shape (k,)), cost (chi-squared).
     """
-    return continue_fit(fitted, data, BANDWIDTHS[BANDWIDTHS.index(fitted.bandwidth) + 1])
+    bandwidths = bandwidths_for(data)
+    return continue_fit(fitted, data, bandwidths[bandwidths.index(fitted.bandwidth) + 1])
 
 
 def likelihood_deficit(fitted: Fit, reference: Fit, data: Dataset) -> float:
@@ -121,9 +150,9 @@ def fit_with_model_error(fitted: Fit, data: Dataset) -> Fit:
     Returns:
         Most likely fit: machine, k parameters (theta, dimensionless, shape (k,)), cost (chi-squared), bandwidth, rad/s.
     """
-    if fitted.bandwidth == SIMULATION:
+    if has_narrowest_observer(fitted, data):
         return fitted
-    simulated = continue_fit(fitted, data, SIMULATION)
+    simulated = continue_fit(fitted, data, bandwidths_for(data)[-1])
     fits = ((narrower, likelihood_loss(narrower, data)) for narrower in _narrowing(fitted, data))
     return likeliest(fits, (simulated, likelihood_loss(simulated, data)))
 
@@ -131,7 +160,8 @@ def fit_with_model_error(fitted: Fit, data: Dataset) -> Fit:
 def _narrowing(fitted: Fit, data: Dataset) -> Iterator[Fit]:
     """Return a fit, then fits with narrower and narrower observers, each of which continues the one before."""
     yield fitted
-    for bandwidth in BANDWIDTHS[BANDWIDTHS.index(fitted.bandwidth) + 1 : -1]:
+    bandwidths = bandwidths_for(data)
+    for bandwidth in bandwidths[bandwidths.index(fitted.bandwidth) + 1 : -1]:
         fitted = continue_fit(fitted, data, bandwidth)
         yield fitted
 
@@ -164,9 +194,10 @@ def refined_in_simulation(fitted: Fit, data: Dataset) -> Fit:
 
     Returns:
         Fit of the same k parameters (theta, shape (k,)) with the smallest product, polished. `fitted` itself if no fit
-        is better, if it is a simulation, or if there is only one run, which permits no cross-validation.
+        is better, if it is a simulation, if there is only one run, which permits no cross-validation, or if the errors
+        of interpolated voltages add up in a simulation.
     """
-    if fitted.bandwidth == SIMULATION or len(data.runs) == 1:
+    if fitted.bandwidth == SIMULATION or len(data.runs) == 1 or data.has_voltage_errors:
         return fitted
 
     def cost(machine: Machine, bandwidth: float) -> float:

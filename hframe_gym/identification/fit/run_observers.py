@@ -24,7 +24,7 @@ from ..predict.linearization import ResidualModel
 from ..predict.normal_equations import NormalEquations
 from ..predict.prediction import POLISH_STEP, SIMULATION, innovation_variance
 from .estimation import Fit, prediction_cost, prediction_costs
-from .model_error import BANDWIDTHS, polish, search_step
+from .model_error import bandwidths_for, polish, search_step
 
 Array = NDArray[np.float64]
 Observers = dict[str, RunObserver]
@@ -113,27 +113,29 @@ def _likeliest_observers(fitted: Fit, data: Dataset) -> Observers | None:
     other takes the bandwidth that increases the likelihood, until none does. None if all linearizations diverge.
     """
     model = _LinearizedFits(fitted, data)
-    starts = [[index] * len(data.runs) for index in range(len(BANDWIDTHS)) if model.usable[index].all()]
+    starts = [[index] * len(data.runs) for index in range(len(model.bandwidths)) if model.usable[index].all()]
     if not starts:
         return None
     choice = min((model.improved(start) for start in starts), key=lambda indices: model.loss(indices)[0])
     inflation = model.loss(choice)[1]
     chosen = zip(data.runs, choice, inflation, strict=True)
-    return {run.name: RunObserver(BANDWIDTHS[index], float(s)) for run, index, s in chosen}
+    return {run.name: RunObserver(model.bandwidths[index], float(s)) for run, index, s in chosen}
 
 
 class _LinearizedFits:
     """Likelihood of runs at any combination of observer bandwidths, linearized around a fit.
 
     Attributes:
+        bandwidths: Bandwidths of the observers, rad/s.
         usable: Whether the prediction of a run at a bandwidth is finite near the fit, shape (bandwidths, runs).
     """
 
     def __init__(self, fitted: Fit, data: Dataset) -> None:
         self._fitted, self._prior = fitted, prior_precision(fitted.free)
-        self._equations = [self._at(bandwidth, data) for bandwidth in BANDWIDTHS]
+        self.bandwidths = bandwidths_for(data)
+        self._equations = [self._at(bandwidth, data) for bandwidth in self.bandwidths]
         self.usable = np.array([[equations.finite for equations in runs] for runs in self._equations])
-        self._variances = np.array([_variances(fitted, data, bandwidth) for bandwidth in BANDWIDTHS])
+        self._variances = np.array([_variances(fitted, data, bandwidth) for bandwidth in self.bandwidths])
         self._counts = np.array([run.count for run in data.runs])
 
     def _at(self, bandwidth: float, data: Dataset) -> tuple[NormalEquations, ...]:

@@ -8,6 +8,7 @@ so on, while the error falls. If that reduces the error clearly, instruments cou
 
 from __future__ import annotations
 
+import dataclasses
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +18,7 @@ from ...preparation.dataset import Dataset
 from ..judge.criteria import SelectionCriteria
 from ..judge.run import UpdatesEvidence, voltages_change_between_rows
 from ..predict.prediction import SEARCH_BANDWIDTH
+from ..predict.voltage_errors import expected_excess
 from .estimation import Fit, prediction_costs
 from .model_error import continue_fit
 from .slow_logs import count_updates
@@ -100,7 +102,9 @@ def voltage_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> 
             prediction_costs(f.machine, d, SEARCH_BANDWIDTH)
             for f, d in ((held, data), (best, data.with_updates(per_row)))
         )
-        evidence = UpdatesEvidence(held.error, best.error, float(np.mean(after < before)))
+        excess = expected_excess(best.machine, data.with_updates(per_row), SEARCH_BANDWIDTH)
+        error = dataclasses.replace(best.error, floor=best.floor + excess)
+        evidence = UpdatesEvidence(held.error, error, float(np.mean(after < before)))
         if voltages_change_between_rows(evidence, criteria):
             per_row = count_updates(best, data, _MOST_UPDATES) or per_row
             fitted = continue_fit(best, data.with_updates(per_row), SEARCH_BANDWIDTH)

@@ -38,7 +38,8 @@ class UpdatesEvidence:
 
     Attributes:
         held: Error of the fit with voltages that are held from row to row.
-        updated: Error of the fit with interpolated voltages that change between the rows.
+        updated: Error of the fit with interpolated voltages that change between the rows; its floor includes what the
+            errors of these voltages cause.
         better: Fraction of the runs whose error the second fit reduces.
     """
 

@@ -20,7 +20,7 @@ from ...machine import Machine
 from ...preparation.dataset import Dataset, PreparedRecording
 from .free_parameters import FreeParameter, parameter_table, values_at
 from .normal_equations import NormalEquations
-from .prediction import SEARCH_STEP, map_runs, predict, residuals
+from .prediction import SEARCH_STEP, map_runs, predict, residuals, whitened
 from .start_uncertainty import (
     InitialStateProjection,
     UncertainStart,
@@ -137,7 +137,9 @@ class ResidualModel:
             Residuals, dimensionless, shape (batch, rows): one row per block and sensor, all sensors of a block before
             the next block; 0 where not measured.
         """
-        return residuals(run, self.data, predicted, self.rows_per_block)
+        if self.rows_per_block > 1:
+            return residuals(run, self.data, predicted, self.rows_per_block)
+        return whitened(residuals(run, self.data, predicted), run, self.bandwidth)
 
     def at(self, theta: Array) -> ExpansionPoint:
         """Prepare the linearization of the residual at given values of the free parameters.

@@ -32,6 +32,8 @@ Array = NDArray[np.float64]
 T = TypeVar("T")
 SEARCH_BANDWIDTH = 60.0  # rad/s; confines the error of a wrong model to a few hundredths of a second
 SIMULATION = 0.0  # rad/s; no feedback
+# rad/s; with a narrower observer, the errors of interpolated voltages last for too many rows
+NARROWEST_WITH_VOLTAGE_ERRORS = 15.0
 
 SEARCH_STEP = 0.5e-3  # s; integration step of the search
 POLISH_STEP = 0.125e-3  # s; an input that changes inside a step costs a micrometer at twice this step
@@ -103,12 +105,51 @@ def innovation_variance(machine: Machine, data: Dataset, bandwidth: float) -> tu
     Returns:
         Means of the ratio (variance / noise variance) and of its logarithm over all measured values, dimensionless.
     """
-    # Position gain K of a critically damped observer: twice the bandwidth times the sampling period.
-    gains = 2.0 * sensor_bandwidths(machine, bandwidth) * data.period
-    variance = 1.0 / (1.0 - np.minimum(gains, 0.9))  # (sensors,)
+    if data.has_voltage_errors and bandwidth >= NARROWEST_WITH_VOLTAGE_ERRORS:
+        return 1.0, _log_variance_with_voltage_errors(data, bandwidth)
+    variance = sensor_innovation_variance(machine, data.period, bandwidth)
     counts = np.sum([run.weights.sum(axis=0) for run in data.runs], axis=0)  # (sensors,)
     weights = counts / counts.sum()
     return float(weights @ variance), float(weights @ np.log(variance))
+
+
+def sensor_innovation_variance(machine: Machine, period: float, bandwidth: float) -> Array:
+    """Return the variance of the innovations of an exact machine / that of each sensor's noise, shape (sensors,).
+
+    Args:
+        machine: Machine with its sensors.
+        period: Sampling period, s.
+        bandwidth: Bandwidth of the observer, rad/s.
+    """
+    # Position gain K of a critically damped observer: twice the bandwidth times the sampling period.
+    gains = 2.0 * sensor_bandwidths(machine, bandwidth) * period
+    return np.asarray(1.0 / (1.0 - np.minimum(gains, 0.9)))
+
+
+def _log_variance_with_voltage_errors(data: Dataset, bandwidth: float) -> float:
+    """Return the mean logarithm of the variance of innovations before they are whitened."""
+    total = 0.0
+    for run in data.runs:
+        if run.voltage_errors is not None:
+            total += float(np.sum(run.weights * run.voltage_errors.log_variance(run.bandwidth(bandwidth))))
+    return total / data.count
+
+
+def whitened(residual: Array, run: PreparedRecording, bandwidth: float) -> Array:
+    """Return a residual without the correlation that errors of interpolated voltages cause.
+
+    Args:
+        residual: Residuals of a batch of predictions, in units of the noise, shape (batch, n * sensors).
+        run: The run that was predicted.
+        bandwidth: Bandwidth of the observer of the predictions, rad/s.
+
+    Returns:
+        Residuals of the same shape; the given ones if the voltages are held, or if the observer is too narrow.
+    """
+    bandwidth = run.bandwidth(bandwidth)
+    if run.voltage_errors is None or bandwidth < NARROWEST_WITH_VOLTAGE_ERRORS:
+        return residual
+    return run.voltage_errors.whiten(residual, bandwidth)
 
 
 def observer_gains(machine: Machine, period: float, bandwidth: float = SEARCH_BANDWIDTH) -> Array:
@@ -265,9 +306,9 @@ def mechanical_rows_per_block(data: Dataset) -> int:
         data: Data set, for its sampling period.
 
     Returns:
-        Number of rows in 4 ms, at least one.
+        Number of rows in 4 ms, at least one; one if residuals are whitened, which makes them change fast.
     """
-    return max(1, round(_BLOCK_S / data.period))
+    return 1 if data.has_voltage_errors else max(1, round(_BLOCK_S / data.period))
 
 
 def block_size(seconds: float, machine: Machine, data: Dataset) -> int:

@@ -23,7 +23,7 @@ from ...preparation.belt_stretch import linear_coordinates, rigid_basis, stretch
 from ...preparation.dataset import Dataset, PreparedRecording
 from ...preparation.initial_state import model_initial_states
 from ...preparation.rest_measurement import InitialState
-from .prediction import SEARCH_STEP, predict, residuals
+from .prediction import SEARCH_STEP, predict, residuals, whitened
 
 Array = NDArray[np.float64]
 _UNMEASURED_POSITION = 2e-4  # m; error of a position that follows from later measurements
@@ -349,5 +349,6 @@ def prediction_residuals(
     motion = predict_with_displaced_starts(
         machine, run, bandwidth, start, period=data.period, longest_step=longest_step
     )
-    residual, _ = projected(residuals(run, data, motion.readings), len(start.displacements))
+    predicted = whitened(residuals(run, data, motion.readings), run, bandwidth)
+    residual, _ = projected(predicted, len(start.displacements))
     return residual[0]

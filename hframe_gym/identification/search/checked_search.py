@@ -26,6 +26,7 @@ from ..judge.run import exchanges_held_out
 from ..judge.verdict import verdict_after_removal
 from ..predict.free_parameters import default_free_parameters
 from ..predict.prediction import SEARCH_BANDWIDTH
+from ..predict.voltage_errors import with_voltage_errors
 from ..propose.trial_fits import without_effect
 from .input_timing import with_input_timing
 from .search_effects import SearchOutcome, search_effects
@@ -160,6 +161,8 @@ def _search_and_check(
     data, held_out = with_lost_voltages(
         known, data.with_updates(updates.per_row), held_out.with_updates(updates.per_row), log
     )
+    refitted = fit(known, default_free_parameters(known), data, SEARCH_BANDWIDTH)
+    data, held_out = (with_voltage_errors(refitted.machine, runs) for runs in (data, held_out))
     return search(data, held_out)._replace(
         messages=(*unused, *excluded, _BETWEEN_ROWS.format(changes, updates.per_row))
     )

@@ -26,7 +26,13 @@ from ..evidence.rivals import (
 from ..evidence.significance import doubt_about_candidate, doubt_beside_others, long_run_variance
 from ..evidence.tried_effects import ConsideredEffect, Log, SelectedEffect, Selection, Step
 from ..fit.estimation import Fit, describe_gain
-from ..fit.model_error import continue_fit, fit_with_model_error, likelihood_deficit, narrower_observer
+from ..fit.model_error import (
+    continue_fit,
+    fit_with_model_error,
+    has_narrowest_observer,
+    likelihood_deficit,
+    narrower_observer,
+)
 from ..fit.start_estimation import with_probable_starts
 from ..fit.voltage_updates import require_held_voltages
 from ..judge import trial as judge
@@ -165,12 +171,12 @@ class EffectSearch:
         """
         self._doubted, criteria = None, self._criteria
         found = self._passing(current, required_gain(current.error, criteria), structures=True)
-        if found is not None or current.bandwidth == SIMULATION:
+        if found is not None or has_narrowest_observer(current, self.data):
             return found
         narrower = narrower_observer(current, self.data)
         enough = required_gain(current.error, criteria) + likelihood_deficit(narrower, current, self.data)
         found = self._passing(narrower, enough)
-        if found is not None:
+        if found is not None or self.data.has_voltage_errors:
             return found
         simulated = continue_fit(current, self.data, SIMULATION)
         while judge.is_worth_narrower_observer(narrower.error, simulated.error, criteria):

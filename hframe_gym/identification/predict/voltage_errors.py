@@ -1,0 +1,155 @@
+"""Errors of the voltages that are interpolated between the rows of a log that is slower than its controller.
+
+Between two rows, a controller answers rounding errors of its sensors that the log does not contain. The mean voltage
+from one row to the next therefore differs from the interpolated one, by an error that is independent of those before
+and after it. Each error pushes the machine, and changes the residual until the observer has corrected it: the residual
+of an exact machine is correlated in time and between the sensors, and larger than noise where the voltages jump.
+
+To first order, the residual is r = n + G w, with innovations n of the observer, the errors w of the voltages, and the
+response G of the predictions to them. Its covariance is S = D + G Q G', with the variances D of the innovations and Q
+of the errors. The inverse of its Cholesky factor makes the residual white, with unit variance: chi-squared of an exact
+machine is 1, and rows that a jump affects count as little as they say. A Kalman filter does the same for a linear
+machine; these responses are also those of a machine that friction holds, where voltages change nothing.
+
+References:
+    Gelb (1974), "Applied Optimal Estimation".
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.linalg import cholesky_banded
+from scipy.linalg.lapack import dtbtrs
+from scipy.ndimage import uniform_filter1d
+from typing_extensions import override
+
+from ...machine import Machine
+from ...preparation.dataset import Dataset, PreparedRecording, VoltageErrors
+from .prediction import map_runs, sensor_innovation_variance
+from .voltage_responses import voltage_responses
+
+Array = NDArray[np.float64]
+
+# If the part of a voltage that interpolation misses is independent from one change to the next, with the variance s^2,
+# third differences of the rows have the variance 20 s^2 (1 + 9 + 9 + 1), and the mean voltage from one row to the next
+# errs by 0.41 s^2 (two changes a row) to 0.43 s^2 (five and more): half of it is what the log lacks, the other half
+# what the interpolation takes from the rows beside.
+_SHARE = 0.42 / 20.0
+_ROWS = 9  # over which the squares of third differences are averaged; the motion changes more slowly
+# Product of the observer's bandwidth and the time after which a response is negligible; twice as long changes nothing.
+_SETTLED = 9.0
+
+
+def interpolation_variance(inputs: Array) -> Array:
+    """Return the variance of the error of the mean voltage from each row to the next, if voltages are interpolated.
+
+    Args:
+        inputs: Voltages in the rows, V, shape (n, drives).
+
+    Returns:
+        Variances, V^2, shape (n - 1, drives).
+    """
+    squares = np.zeros((len(inputs) - 1, inputs.shape[1]))
+    squares[1:-1] = np.diff(inputs, 3, axis=0) ** 2
+    return np.asarray(_SHARE * uniform_filter1d(squares, _ROWS, axis=0, mode="nearest"))
+
+
+def with_voltage_errors(machine: Machine, data: Dataset) -> Dataset:
+    """Return a data set whose residuals take the errors of interpolated voltages into account.
+
+    Args:
+        machine: Machine, refitted to these runs, that shows how predictions respond to voltages.
+        data: Runs whose voltages change between the rows.
+    """
+
+    def with_errors(run: PreparedRecording) -> PreparedRecording:
+        return dataclasses.replace(run, voltage_errors=InterpolationErrors(machine, run, data))
+
+    return dataclasses.replace(data, runs=tuple(map(with_errors, data.runs)))
+
+
+def expected_excess(machine: Machine, data: Dataset, bandwidth: float) -> float:
+    """Return what errors of interpolated voltages add to chi-squared per sample of an exact machine, dimensionless.
+
+    Args:
+        machine: Machine, refitted to these runs.
+        data: Runs whose voltages change between the rows.
+        bandwidth: Bandwidth of the observer that corrects the predictions, rad/s.
+    """
+
+    def of_run(run: PreparedRecording) -> float:
+        return float(np.sum(InterpolationErrors(machine, run, data).responses(bandwidth).data ** 2))
+
+    return sum(map_runs(of_run, data)) / data.count
+
+
+class _Whitening(NamedTuple):
+    """Cholesky factor of the covariance of a residual.
+
+    Attributes:
+        factor: Lower factor in LAPACK's banded form, dimensionless, shape (band, n * sensors).
+        log_variance: Logarithm of the variance of each value, given those before it, shape (n, sensors).
+    """
+
+    factor: Array
+    log_variance: Array
+
+
+class InterpolationErrors(VoltageErrors):
+    """Errors of the interpolated voltages of a run, and what they do to the residual (`VoltageErrors`)."""
+
+    def __init__(self, machine: Machine, run: PreparedRecording, data: Dataset) -> None:
+        # Pulses last from row to row: the response is that of held voltages.
+        held = dataclasses.replace(run, updates=1, voltage_errors=None)
+        self._machine, self._run = machine, held
+        self._data = dataclasses.replace(data, runs=(held,))
+        self._by_bandwidth: dict[float, _Whitening] = {}
+
+    @override
+    def whiten(self, residual: Array, bandwidth: float) -> Array:
+        finite = np.isfinite(residual).all(axis=1)
+        white = np.full_like(residual, np.nan)
+        factor = self._at(bandwidth).factor
+        white[finite] = dtbtrs(factor, np.asfortranarray(residual[finite].T), uplo="L")[0].T
+        return white
+
+    @override
+    def log_variance(self, bandwidth: float) -> Array:
+        return self._at(bandwidth).log_variance
+
+    def _at(self, bandwidth: float) -> _Whitening:
+        """Return the whitening for an observer; it is computed once."""
+        if bandwidth not in self._by_bandwidth:
+            self._by_bandwidth[bandwidth] = self._whitening(bandwidth)
+        return self._by_bandwidth[bandwidth]
+
+    def responses(self, bandwidth: float) -> sparse.csr_array:
+        """Return the change of the residual by errors of one standard deviation, shape (n * sensors, errors).
+
+        Args:
+            bandwidth: Bandwidth of the observer that corrects the predictions, rad/s.
+        """
+        intervals = np.arange(len(self._run.time_s) - 1)
+        per_volt, _ = voltage_responses(
+            self._machine, self._run, self._data, intervals, bandwidth, per_block=1, settled=_SETTLED
+        )
+        deviations = np.sqrt(interpolation_variance(self._run.inputs)).ravel()
+        return sparse.csr_array(per_volt @ sparse.diags_array(deviations))
+
+    def _whitening(self, bandwidth: float) -> _Whitening:
+        """Factorize the covariance of the residual."""
+        machine, run, data = self._machine, self._run, self._data
+        scaled = self.responses(bandwidth)
+        covariance = sparse.tril(scaled @ scaled.T).tocoo()
+        below = covariance.row - covariance.col
+        band = np.zeros((int(below.max(initial=0)) + 1, covariance.shape[0]))
+        band[below, covariance.col] = covariance.data
+        variance = sensor_innovation_variance(machine, data.period, bandwidth)
+        band[0] += np.tile(variance, len(run.time_s))
+        factor = cholesky_banded(band, lower=True)
+        return _Whitening(factor, 2.0 * np.log(factor[0]).reshape(run.outputs.shape))
