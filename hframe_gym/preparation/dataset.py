@@ -19,6 +19,7 @@ from ..machine import Machine
 from .encoder_zeros import EncoderZeros
 from .initial_state import model_initial_states
 from .rest_measurement import InitialState
+from .voltage_updates import Interpolation
 
 Array = NDArray[np.float64]
 MIN_ROWS = 20  # rows of a run that the filters of the residual need
@@ -77,6 +78,7 @@ class PreparedRecording:
             None: that of the prediction or fit.
         updates: How many times the voltages change from one row to the next: more than once if the controller is faster
             than the log. They are then interpolated between the rows (`voltage_updates`).
+        interpolation: How they are interpolated.
         voltage_errors: What is known of the errors of interpolated voltages; None if the voltages are held.
     """
 
@@ -90,6 +92,7 @@ class PreparedRecording:
     dropped: NDArray[np.bool_]
     observer_bandwidth: float | None = None
     updates: int = 1
+    interpolation: Interpolation = "akima"
     voltage_errors: VoltageErrors | None = field(default=None, repr=False, compare=False)
 
     def bandwidth(self, of_prediction: float) -> float:
@@ -150,6 +153,7 @@ class Dataset:
         jitter: Standard deviation of the sampling times, s, which the noise of the runs includes; 0 if none is found.
         has_zero: False for sensors without a zero that a comparison may adapt, such as those of speeds and currents,
             shape (sensors,). None: all have one.
+        updates_settled: Whether a search takes the number of voltage changes a row as it is.
     """
 
     runs: tuple[PreparedRecording, ...]
@@ -159,6 +163,7 @@ class Dataset:
     zeros: EncoderZeros | None = None
     jitter: float = 0.0
     has_zero: NDArray[np.bool_] | None = None
+    updates_settled: bool = False
 
     @property
     def count(self) -> float:
@@ -202,6 +207,21 @@ class Dataset:
         """
         return dataclasses.replace(
             self, runs=tuple(dataclasses.replace(run, updates=updates) for run in self.runs)
+        )
+
+    def without_voltage_errors(self) -> Dataset:
+        """Return a copy whose voltages are held from row to row; measurements, shape (n, sensors), are the same."""
+        runs = (dataclasses.replace(run, updates=1, voltage_errors=None) for run in self.runs)
+        return dataclasses.replace(self, runs=tuple(runs))
+
+    def with_interpolation(self, interpolation: Interpolation) -> Dataset:
+        """Return a copy whose voltages are interpolated in another way; measurements, shape (n, sensors), are the same.
+
+        Args:
+            interpolation: How voltages that change between the rows are interpolated.
+        """
+        return dataclasses.replace(
+            self, runs=tuple(dataclasses.replace(run, interpolation=interpolation) for run in self.runs)
         )
 
     def with_observers(self, observers: Mapping[str, RunObserver]) -> Dataset:

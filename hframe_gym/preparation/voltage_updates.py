@@ -8,11 +8,21 @@ smaller mass), and splines overshoot where a voltage jumps.
 
 from __future__ import annotations
 
+from functools import partial
+from typing import Literal
+
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import Akima1DInterpolator
+from scipy.interpolate import Akima1DInterpolator, CubicSpline, make_interp_spline
 
 Array = NDArray[np.float64]
+# "straight" reduces what is fast, "spline" overshoots where voltages jump; the truth lies between them.
+Interpolation = Literal["akima", "straight", "spline"]
+_INTERPOLATORS = {
+    "akima": Akima1DInterpolator,
+    "straight": partial(make_interp_spline, k=1),
+    "spline": CubicSpline,
+}
 
 
 def update_times(time_s: Array, updates: int) -> Array:
@@ -31,19 +41,22 @@ def update_times(time_s: Array, updates: int) -> Array:
     return np.append(between.ravel(), time_s[-1])
 
 
-def updated_inputs(time_s: Array, inputs: Array, updates: int) -> Array:
+def updated_inputs(
+    time_s: Array, inputs: Array, updates: int, interpolation: Interpolation = "akima"
+) -> Array:
     """Return interpolated inputs at the times at which a controller changes them.
 
     Args:
         time_s: Times of the rows, s, shape (n,).
         inputs: Inputs in the rows, V, shape (..., n, drives).
         updates: Changes of the inputs from one row to the next.
+        interpolation: How the inputs are interpolated.
 
     Returns:
         Inputs at `update_times`, V, shape (..., (n - 1) * `updates` + 1, drives).
     """
     axis = np.ndim(inputs) - 2
-    return np.asarray(Akima1DInterpolator(time_s, inputs, axis=axis)(update_times(time_s, updates)))
+    return np.asarray(_INTERPOLATORS[interpolation](time_s, inputs, axis=axis)(update_times(time_s, updates)))
 
 
 def at_updates(values: Array, updates: int, *, between: float | None = None) -> Array:

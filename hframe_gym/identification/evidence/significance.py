@@ -216,12 +216,13 @@ def effect_evidence(without: Fit, with_effect: Fit, effect: AppliedEffect, data:
 
 
 def _interpolation_change(fitted: Fit, data: Dataset) -> float:
-    """Return by how much the cost changes if the voltages change once more or once less a row, refitted."""
-    number = data.updates
-    others = (n for n in (number - 1, number + 1) if n > 1)
-    return max(
-        abs(continue_fit(fitted, data.with_updates(n), fitted.bandwidth).cost - fitted.cost) for n in others
-    )
+    """Return the largest change of the cost by another interpolation of the voltages between the rows, refitted.
+
+    They may change once more or once less a row, on straight lines or on splines.
+    """
+    others = [data.with_updates(n) for n in (data.updates - 1, data.updates + 1) if n > 1]
+    others += [data.with_interpolation("straight"), data.with_interpolation("spline")]
+    return max(abs(continue_fit(fitted, other, fitted.bandwidth).cost - fitted.cost) for other in others)
 
 
 def parameter_values(label: str, fitted: Fit) -> tuple[ParameterValue, ...]:

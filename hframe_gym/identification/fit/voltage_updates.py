@@ -3,7 +3,8 @@
 A controller that is faster than the log changes the voltages several times from one row to the next. The log does not
 say so, but the motion does: voltages that are held from row to row act late, by up to half a sampling period. A machine
 is therefore fitted with held voltages, then with voltages that are interpolated and change twice a row, three times and
-so on, while the error falls. If that reduces the error clearly, instruments count the changes (`slow_logs`).
+so on, while the error falls. If that reduces the error clearly, the changes are counted with the errors of the
+interpolated voltages taken into account (`voltage_errors`).
 """
 
 from __future__ import annotations
@@ -12,16 +13,16 @@ import dataclasses
 from typing import NamedTuple
 
 import numpy as np
+from scipy import stats
 
 from ...machine import Machine
 from ...preparation.dataset import Dataset
 from ..judge.criteria import SelectionCriteria
 from ..judge.run import UpdatesEvidence, voltages_change_between_rows
 from ..predict.prediction import SEARCH_BANDWIDTH
-from ..predict.voltage_errors import expected_excess
+from ..predict.voltage_errors import expected_excess, with_voltage_errors
 from .estimation import Fit, prediction_costs
-from .model_error import continue_fit
-from .slow_logs import count_updates
+from .model_error import continue_fit, fit_with_model_error
 
 _MOST_UPDATES = 20  # a row; with more, voltages act earlier by less than a fortieth of a sampling period
 
@@ -53,7 +54,7 @@ class VoltageUpdates(NamedTuple):
 
 
 class VoltagesChangeError(Exception):
-    """A search found that the voltages change between the rows; its runs held them.
+    """A search found that the voltages change more or less often between the rows than it assumed.
 
     Attributes:
         machine: Machine with the effects that were found before.
@@ -61,12 +62,12 @@ class VoltagesChangeError(Exception):
     """
 
     def __init__(self, machine: Machine, updates: VoltageUpdates) -> None:
-        super().__init__("the voltages change between the rows")
+        super().__init__("the voltages change otherwise between the rows")
         self.machine, self.updates = machine, updates
 
 
-def require_held_voltages(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> None:
-    """Check that the voltages are held, if the runs are predicted so; an effect that was missing had a larger error.
+def require_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> None:
+    """Check how often the voltages change from one row to the next; an effect that was missing had a larger error.
 
     Args:
         fitted: Fit of a machine with effects to the runs.
@@ -74,13 +75,47 @@ def require_held_voltages(fitted: Fit, data: Dataset, criteria: SelectionCriteri
         criteria: Decision thresholds.
 
     Raises:
-        VoltagesChangeError: If the voltages change between the rows.
+        VoltagesChangeError: If they change clearly more or less often than the predictions assume.
     """
-    if data.updates > 1:
+    if data.updates_settled:
         return
-    updates = voltage_updates(fitted, data, criteria)
-    if updates.per_row > 1:
+    if not data.has_voltage_errors:
+        updates = voltage_updates(fitted, data, criteria)
+    else:
+        per_row = count_updates(fitted, data)
+        counted = continue_fit(fitted, data.with_updates(per_row), fitted.bandwidth)
+        if fitted.cost - counted.cost < stats.chi2.isf(criteria.chance, 1):
+            return
+        held = continue_fit(fitted, data.without_voltage_errors(), SEARCH_BANDWIDTH)
+        updates = VoltageUpdates(per_row, held.chi2, counted.chi2)
+    if updates.per_row != data.updates:
         raise VoltagesChangeError(fitted.machine, updates)
+
+
+def count_updates(fitted: Fit, data: Dataset) -> int:
+    """Count the changes of the voltages from one row to the next.
+
+    The errors of the interpolated voltages are taken into account. Without that, least squares find too many changes:
+    voltages that act earlier contain more of the controller's answer to the rounding error of the next row.
+
+    Args:
+        fitted: Fit of a machine to the runs, with an observer that suits them.
+        data: Runs with the errors of interpolated voltages, and a first number of changes.
+
+    Returns:
+        The number with the smallest cost next to the first one, from 2 to 20.
+    """
+    present = fit_with_model_error(continue_fit(fitted, data, fitted.bandwidth), data)
+    number = data.updates
+    for step in (1, -1):
+        while 2 <= number + step <= _MOST_UPDATES:
+            trial = continue_fit(present, data.with_updates(number + step), present.bandwidth)
+            if not trial.cost < present.cost:
+                break
+            present, number = trial, number + step
+        if number != data.updates:
+            break
+    return number
 
 
 def voltage_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> VoltageUpdates:
@@ -106,7 +141,7 @@ def voltage_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> 
         error = dataclasses.replace(best.error, floor=best.floor + excess)
         evidence = UpdatesEvidence(held.error, error, float(np.mean(after < before)))
         if voltages_change_between_rows(evidence, criteria):
-            per_row = count_updates(best, data, _MOST_UPDATES) or per_row
+            per_row = count_updates(best, with_voltage_errors(best.machine, data.with_updates(per_row)))
             fitted = continue_fit(best, data.with_updates(per_row), SEARCH_BANDWIDTH)
             return VoltageUpdates(per_row, held.chi2, fitted.chi2)
     return VoltageUpdates(1, held.chi2, held.chi2)

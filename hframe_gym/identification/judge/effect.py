@@ -116,7 +116,7 @@ class EffectEvidence:
         drives: Force of the drives, N.
         additions: What the effect adds to each effect of another family that depends on the same variable.
         parameters: Its fitted parameters.
-        interpolation: Change of the cost by another number of voltage changes a row; None if the voltages are held.
+        interpolation: Change of the cost by another interpolation of the voltages; None if these are held.
     """
 
     without: FitError
@@ -187,8 +187,8 @@ def _by_interpolation(evidence: EffectEvidence, criteria: SelectionCriteria) -> 
     if evidence.gain > criteria.min_gain_over_interpolation * evidence.interpolation():
         return ""
     return (
-        "reduces the error little more than another number of voltage changes between the rows, which is not known "
-        "exactly, does"
+        "reduces the error little more than another interpolation of the voltages between the rows, which are not "
+        "known, does"
     )
 
 

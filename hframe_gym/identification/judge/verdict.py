@@ -26,7 +26,8 @@ class Evidence:
     infinite errors.
 
     Attributes:
-        left: Simulation error with the effects, in multiples of the noise at rest, rms over channels.
+        left: Simulation error with the effects, in multiples of the noise at rest, rms over channels. In a log that is
+            slower than its controller, of what noise and the unknown voltages between the rows cause together.
         left_before: The same without effects.
         motion: Simulation error with the effects relative to the motion, rms over the channels.
         lacking: Force that the machine with effects lacks, relative to that of the drives.
@@ -34,6 +35,7 @@ class Evidence:
             leave. An observer corrects these predictions by the measurements.
         causes_named: Whether the effects are the causes of the missing force that is left without them, as
             `dependences.are_causes` finds them without a form of any effect.
+        voltages_known: Whether the log contains all voltages.
     """
 
     left: float
@@ -42,6 +44,7 @@ class Evidence:
     lacking: float
     remaining_prediction: float
     causes_named: bool = False
+    voltages_known: bool = True
 
     @property
     def remaining_simulation(self) -> float:
@@ -58,7 +61,10 @@ class Evidence:
         )
         if not math.isfinite(self.left):
             return "the simulation of the held-out runs diverges"
-        return f"{self.left:.3g} times the noise of the sensors{force} left on the held-out runs"
+        cause = "the noise of the sensors"
+        if not self.voltages_known:
+            cause = "what noise and the unknown voltages between the rows cause"
+        return f"{self.left:.3g} times {cause}{force} left on the held-out runs"
 
 
 def remaining(after: float, before: float, floor: float) -> float:

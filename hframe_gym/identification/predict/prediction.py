@@ -252,7 +252,10 @@ def predict(
         gains = observer_gains(machine, period, bandwidth)
     time_s, inputs = run.time_s, run.inputs if inputs is None else inputs
     if run.updates > 1:
-        time_s, inputs = update_times(time_s, run.updates), updated_inputs(time_s, inputs, run.updates)
+        time_s, inputs = (
+            update_times(time_s, run.updates),
+            updated_inputs(time_s, inputs, run.updates, run.interpolation),
+        )
         extra_force = None if extra_force is None else at_updates(extra_force, run.updates)
         measured = None if measured is None else at_updates(measured, run.updates, between=np.nan)
     motion = simulate_batch(

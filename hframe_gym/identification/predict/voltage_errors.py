@@ -30,7 +30,14 @@ from typing_extensions import override
 
 from ...machine import Machine
 from ...preparation.dataset import Dataset, PreparedRecording, VoltageErrors
-from .prediction import map_runs, sensor_innovation_variance
+from .prediction import (
+    POLISH_STEP,
+    SIMULATION,
+    map_runs,
+    predict,
+    prediction_error,
+    sensor_innovation_variance,
+)
 from .voltage_responses import voltage_responses
 
 Array = NDArray[np.float64]
@@ -43,6 +50,7 @@ _SHARE = 0.42 / 20.0
 _ROWS = 9  # over which the squares of third differences are averaged; the motion changes more slowly
 # Product of the observer's bandwidth and the time after which a response is negligible; twice as long changes nothing.
 _SETTLED = 9.0
+_DRAWS = 8  # of voltage errors, for their effect on simulations: their rms is 15 % accurate in a run
 
 
 def interpolation_variance(inputs: Array) -> Array:
@@ -56,7 +64,8 @@ def interpolation_variance(inputs: Array) -> Array:
     """
     squares = np.zeros((len(inputs) - 1, inputs.shape[1]))
     squares[1:-1] = np.diff(inputs, 3, axis=0) ** 2
-    return np.asarray(_SHARE * uniform_filter1d(squares, _ROWS, axis=0, mode="nearest"))
+    averages = uniform_filter1d(squares, _ROWS, axis=0, mode="nearest")
+    return np.asarray(_SHARE * np.maximum(averages, 0.0))  # running sums leave rounding errors
 
 
 def with_voltage_errors(machine: Machine, data: Dataset) -> Dataset:
@@ -65,6 +74,9 @@ def with_voltage_errors(machine: Machine, data: Dataset) -> Dataset:
     Args:
         machine: Machine, refitted to these runs, that shows how predictions respond to voltages.
         data: Runs whose voltages change between the rows.
+
+    Returns:
+        Copy; the measurements, shape (n, sensors) each, are the same.
     """
 
     def with_errors(run: PreparedRecording) -> PreparedRecording:
@@ -86,6 +98,47 @@ def expected_excess(machine: Machine, data: Dataset, bandwidth: float) -> float:
         return float(np.sum(InterpolationErrors(machine, run, data).responses(bandwidth).data ** 2))
 
     return sum(map_runs(of_run, data)) / data.count
+
+
+def simulation_error(machine: Machine, data: Dataset) -> Array:
+    """Return the error that errors of interpolated voltages cause in simulations, root mean square over the runs.
+
+    Args:
+        machine: Machine that is simulated.
+        data: Runs whose voltages change between the rows (times, voltages, measurements, SI).
+
+    Returns:
+        Errors in the sensors' units, shape (sensors,); zeros if the voltages are held.
+    """
+    if not data.has_voltage_errors:
+        return np.zeros(len(machine.sensors))
+    rng = np.random.default_rng(0)
+
+    def draws(run: PreparedRecording) -> Array:
+        # Interpolated between the rows, independent errors of the rows add up like those of the mean voltages.
+        deviations = np.sqrt(np.vstack([interpolation_variance(run.inputs), np.zeros(len(machine.drives))]))
+        return (
+            np.concatenate([np.zeros((1, *deviations.shape)), rng.normal(size=(_DRAWS, *deviations.shape))])
+            * deviations
+        )
+
+    errors = dict(zip((run.name for run in data.runs), map(draws, data.runs), strict=True))
+
+    def of_run(run: PreparedRecording) -> Array:
+        motion = predict(
+            machine,
+            run,
+            SIMULATION,
+            period=data.period,
+            inputs=run.inputs + errors[run.name],
+            longest_step=POLISH_STEP,
+        )
+        change = prediction_error(run, data, motion.readings)
+        change = np.where(np.isfinite(run.outputs), change[1:] - change[0], np.nan)
+        return change.reshape(-1, len(machine.sensors))
+
+    changes = np.concatenate(list(map_runs(of_run, data)))
+    return np.asarray(np.sqrt(np.nanmean(changes**2, axis=0)))
 
 
 class _Whitening(NamedTuple):

@@ -54,7 +54,7 @@ def answers(
     """
     report = saved.report
     return {
-        "What is wrong": _wrong(saved),
+        "What is wrong": [*unknown_voltages(saved.report), *_wrong(saved)],
         "How sure": [*_unfinished(report), *_certainty(saved, effects)],
         "How much is left": [*_left(report), *_left_at_belts(saved)],
         "On which run": _worst_run(saved, runs),
@@ -244,6 +244,44 @@ def verdict_sentence(report: Mapping[str, Any], channels: Sequence[str]) -> str:
     Returns:
         One or more English sentences.
     """
+    return " ".join([*unknown_voltages(report), _verdict_sentence(report, channels)])
+
+
+def unknown_voltages(report: Mapping[str, Any]) -> list[str]:
+    """Return sentences about the voltages that a log slower than its controller does not contain.
+
+    Args:
+        report: Content of report.json.
+
+    Returns:
+        What is missing, what that limits, and what to do; nothing if the log contains all voltages.
+    """
+    if (unknown := report.get("unknown_voltages")) is None:
+        return []
+    positions = {c: e for c, e in unknown["errors"].items() if c.endswith(("_m", "_rad"))} or unknown[
+        "errors"
+    ]
+    largest: dict[str, tuple[float, str]] = {}
+    for channel, error in positions.items():
+        kind = channel.rpartition("_")[2]
+        largest[kind] = max(largest.get(kind, (0.0, "")), (error, channel))
+    sizes = []
+    for error, channel in largest.values():
+        factor, unit = readable_unit(channel, error)
+        sizes.append(f"{number(factor * error)} {unit} at {channel}")
+    period = f"{1e3 * unknown['period_s']:.3g} ms"
+    return [
+        f"The controller changes the voltages about {unknown['changes_per_row']} times between two rows of this log "
+        f"(every {period}), and the log does not contain these voltages.",
+        f"A simulation of the held-out runs therefore errs by {' and '.join(sizes)} (rms), whatever the machine: what "
+        "changes the motion by less cannot be found.",
+        f"To find more, log every row of the controller (every {period}), or describe the drives by their set point "
+        "and log that.",
+    ]
+
+
+def _verdict_sentence(report: Mapping[str, Any], channels: Sequence[str]) -> str:
+    """Describe the verdict and the error on the held-out runs."""
     by_force = drifts(report, channels)
     unit = "% of the drives' force" if by_force else "times the sensors' noise"
     errors = {

@@ -14,11 +14,12 @@ from ..fit.channel_errors import white_sensors
 from ..fit.force_sizes import drive_force, effect_force
 from ..fit.missing_force import Dependence
 from ..judge.verdict import final_verdict
+from ..predict.voltage_errors import simulation_error
 from ..propose.dependences import rank_dependences
 from ..search.checked_search import CheckedOutcome
 from ..validate.simpler_machines import Delivered
 from .experiment_design import design_discriminating_experiment
-from .result import Hint, IdentificationResult, RejectedEffect, Unfinished
+from .result import Hint, IdentificationResult, RejectedEffect, Unfinished, UnknownVoltages
 
 _UNEXCITED = (
     "The held-out runs do not excite {}: the gain on them says nothing, and only the fitted runs confirm it. Hold out "
@@ -77,8 +78,18 @@ def build_result(
         reason=evaluated.reason,
         unfinished=unfinished,
         plain=delivered.plain,
+        unknown_voltages=_unknown_voltages(corrected, validation),
     )
     return dataclasses.replace(result, hint=_hint(result))
+
+
+def _unknown_voltages(machine: Machine, held_out: Dataset) -> UnknownVoltages | None:
+    """Return what the log does not say of the voltages."""
+    if not held_out.has_voltage_errors:
+        return None
+    errors = simulation_error(machine, held_out)
+    by_channel = {s.channel: float(e) for s, e in zip(machine.sensors, errors, strict=True)}
+    return UnknownVoltages(held_out.updates, held_out.period / held_out.updates, by_channel)
 
 
 def _hint(result: IdentificationResult) -> Hint | None:

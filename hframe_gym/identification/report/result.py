@@ -132,6 +132,26 @@ class Unfinished(NamedTuple):
 
 
 @dataclass(frozen=True)
+class UnknownVoltages:
+    """Voltages between the rows of a log that is slower than its controller, and what they do to a simulation.
+
+    Attributes:
+        per_row: How many times the controller changes the voltages from one row to the next.
+        period: Time from one change to the next, s.
+        errors: Root mean square error of a simulation of the held-out runs that this alone causes, by channel, in the
+            channel's unit.
+    """
+
+    per_row: int
+    period: float
+    errors: Mapping[str, float]
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the entry of report.json."""
+        return {"changes_per_row": self.per_row, "period_s": self.period, "errors": dict(self.errors)}
+
+
+@dataclass(frozen=True)
 class IdentificationResult:
     """Result of `identify`.
 
@@ -161,6 +181,7 @@ class IdentificationResult:
         hint: What the missing force depends on, if no effect is named and it depends on something.
         unfinished: What the search was doing when its budget ended; None if it is complete.
         plain: Plain fit of inertia and friction, for comparison; None if the runs permit none.
+        unknown_voltages: What the log does not say of the voltages; None if it contains all of them.
     """
 
     verdict: Verdict
@@ -184,6 +205,7 @@ class IdentificationResult:
     hint: Hint | None = None
     unfinished: Unfinished | None = None
     plain: PlainResult | None = None
+    unknown_voltages: UnknownVoltages | None = None
 
     @property
     def explained(self) -> float:
@@ -260,6 +282,7 @@ class IdentificationResult:
             },
             "reason": self.reason,
             "unfinished": self.unfinished.as_json() if self.unfinished else None,
+            "unknown_voltages": self.unknown_voltages.as_json() if self.unknown_voltages else None,
             "contradicting": list(self.contradicting),
             **{stage: {"held_out": error} | self._missing_force(stage) for stage, error in errors.items()},
             "plain": self.plain.as_json() if self.plain else None,

@@ -52,6 +52,9 @@ _BETWEEN_ROWS = (
     "interpolates them with --updates {}."
 )
 
+# Searches with another number of voltage changes a row: first none is seen, then too many while effects are missing.
+_MOST_RESTARTS = 2
+
 
 class CheckedOutcome(NamedTuple):
     """Outcome of a search in the fitted runs, and what the held-out runs say about it.
@@ -151,21 +154,30 @@ def _search_and_check(
     refitted = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
     updates, known = voltage_updates(refitted, data, criteria), machine
     search = partial(_search, machine, criteria=criteria, log=log, budget=budget)
-    if updates.per_row == 1:
+    for restarts in range(_MOST_RESTARTS + 1):
+        fitted, validation, messages = data, held_out, (*unused, *excluded)
+        if updates.per_row > 1:
+            changes = updates.describe(data.period)
+            log(f"{changes}; they are interpolated")
+            fitted, validation = _interpolated(known, updates.per_row, data, held_out, log)
+            messages = (*messages, _BETWEEN_ROWS.format(changes, updates.per_row))
+        fitted = dataclasses.replace(fitted, updates_settled=restarts == _MOST_RESTARTS)
         try:
-            return search(data, held_out)._replace(messages=(*unused, *excluded))
+            return search(fitted, validation)._replace(messages=messages)
         except VoltagesChangeError as found:
             updates, known = found.updates, found.machine
-    changes = updates.describe(data.period)
-    log(f"{changes}; they are interpolated")
+    raise AssertionError("the last search asks for no other number of changes")
+
+
+def _interpolated(
+    machine: Machine, updates: int, data: Dataset, held_out: Dataset, log: Log
+) -> tuple[Dataset, Dataset]:
+    """Return runs whose voltages are interpolated between the rows, with the errors that this causes."""
     data, held_out = with_lost_voltages(
-        known, data.with_updates(updates.per_row), held_out.with_updates(updates.per_row), log
+        machine, data.with_updates(updates), held_out.with_updates(updates), log
     )
-    refitted = fit(known, default_free_parameters(known), data, SEARCH_BANDWIDTH)
-    data, held_out = (with_voltage_errors(refitted.machine, runs) for runs in (data, held_out))
-    return search(data, held_out)._replace(
-        messages=(*unused, *excluded, _BETWEEN_ROWS.format(changes, updates.per_row))
-    )
+    refitted = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
+    return with_voltage_errors(refitted.machine, data), with_voltage_errors(refitted.machine, held_out)
 
 
 def _search(

@@ -34,7 +34,7 @@ from ..fit.model_error import (
     narrower_observer,
 )
 from ..fit.start_estimation import with_probable_starts
-from ..fit.voltage_updates import require_held_voltages
+from ..fit.voltage_updates import require_updates
 from ..judge import trial as judge
 from ..judge.criteria import SelectionCriteria
 from ..judge.error import is_enough, nearly_explains, only_noise_is_left, required_gain
@@ -120,7 +120,7 @@ class EffectSearch:
             if extended is None:
                 break
             best, selected = extended
-            require_held_voltages(best, self.data, criteria)
+            require_updates(best, self.data, criteria)
             current, selected = self._exchange(fit_with_model_error(best, self.data), selected)
             if judge.is_worth_comparing_rivals(current.error, criteria):
                 likely, others = self.settle_rivals(current, selected)

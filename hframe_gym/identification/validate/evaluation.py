@@ -29,6 +29,7 @@ from ..judge.verdict import (
     remaining,
 )
 from ..predict.prediction import POLISH_STEP
+from ..predict.voltage_errors import simulation_error
 from ..propose.dependences import are_causes, rank_dependences
 from ..search.search_effects import SearchOutcome
 from .machine_errors import ModelEvaluation, PredictionErrors, evaluate_held_out
@@ -157,9 +158,14 @@ def _evidence(evaluated: Evaluated, differing: Sequence[str]) -> Evidence:
     validation = evaluated.test.validation
     agreeing = [run for run in validation.runs if run.name not in differing] or list(validation.runs)
 
+    of_voltages = simulation_error(
+        evaluated.after.machine, validation.with_runs([run.name for run in agreeing])
+    )
+    expected = np.hypot(validation.noise, of_voltages)
+
     def errors(model: ModelEvaluation) -> PredictionErrors:
         by_run, measured = [model.errors[run.name] for run in agreeing], [run.outputs for run in agreeing]
-        channels = errors_by_channel(by_run, model.machine, validation.noise, measured)
+        channels = errors_by_channel(by_run, model.machine, expected, measured)
         return PredictionErrors(channels, None, model.held_out.lacking)
 
     def finite(value: float | None) -> float:
@@ -173,6 +179,7 @@ def _evidence(evaluated: Evaluated, differing: Sequence[str]) -> Evidence:
         motion=0.0 if math.isnan(motion) else motion,  # nothing moves
         lacking=finite(after.lacking),
         remaining_prediction=_remaining_prediction(evaluated, [run.name for run in agreeing]),
+        voltages_known=not validation.has_voltage_errors,
     )
 
 
