@@ -210,6 +210,11 @@ class Dataset:
         )
 
     def without_voltage_errors(self) -> Dataset:
+        """Return a copy without errors of interpolated voltages; measurements, shape (n, sensors), are the same."""
+        runs = (dataclasses.replace(run, voltage_errors=None) for run in self.runs)
+        return dataclasses.replace(self, runs=tuple(runs))
+
+    def with_held_voltages(self) -> Dataset:
         """Return a copy whose voltages are held from row to row; measurements, shape (n, sensors), are the same."""
         runs = (dataclasses.replace(run, updates=1, voltage_errors=None) for run in self.runs)
         return dataclasses.replace(self, runs=tuple(runs))

@@ -28,7 +28,7 @@ DRAG = EFFECTS["quadratic_drag"].at("x", c=4.0)
 SPRING = EFFECTS["cable_spring"].at("x", k=6.0, q0=0.05)
 STRIBECK = EFFECTS["stribeck_friction"].at("x", dF=3.0, vs=0.04)
 FRAME = EFFECTS["frame_resonance"].at("x", f0=19.0, zeta=0.05, r=0.05, s=0.8)
-DATA: Any = SimpleNamespace(count=COUNT, updates=1)
+DATA: Any = SimpleNamespace(count=COUNT, updates=1, has_voltage_errors=False)
 
 
 def fit_with(*effects: AppliedEffect, chi2: float, free: int = 4, bandwidth: float = 0.0) -> Fit:
@@ -49,6 +49,7 @@ def runs(names: str) -> Any:
         runs=[SimpleNamespace(name=name, count=COUNT // 4) for name in names],
         count=COUNT,
         updates=1,
+        has_voltage_errors=False,
         with_runs=runs,
     )
 

@@ -86,7 +86,7 @@ def require_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> 
         counted = continue_fit(fitted, data.with_updates(per_row), fitted.bandwidth)
         if fitted.cost - counted.cost < stats.chi2.isf(criteria.chance, 1):
             return
-        held = continue_fit(fitted, data.without_voltage_errors(), SEARCH_BANDWIDTH)
+        held = continue_fit(fitted, data.with_held_voltages(), SEARCH_BANDWIDTH)
         updates = VoltageUpdates(per_row, held.chi2, counted.chi2)
     if updates.per_row != data.updates:
         raise VoltagesChangeError(fitted.machine, updates)

@@ -91,9 +91,9 @@ class SelectionCriteria(SearchEffort):
         rival_gain_fraction: Fraction of the best candidate's gain above which another candidate counts as its rival.
         min_confirmed_fraction: Smallest fraction of an effect's gain that remains if the parameters are fitted to the
             other runs (leave-one-run-out).
-        min_gain_over_interpolation: Smallest gain relative to what one more or fewer change of the voltages a row does
-            to the error, in logs slower than the controller. The number that is found may be wrong by one, and the
-            voltages between the changes err as much again.
+        min_gain_over_interpolation: Smallest gain relative to what another interpolation of the voltages between the
+            rows does to the error, in logs slower than the controller. The true voltages lie between these
+            interpolations, and may do as much again.
         min_force_ratio: Smallest force of an effect relative to the force that remains unexplained beside it.
         min_drive_force_ratio: Smallest force of an effect relative to that of the drives. Amplifiers and numerical
             integration have larger errors.

@@ -5,6 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import TypeVar
 
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
 Fitted = TypeVar("Fitted")
 
 
@@ -48,3 +53,13 @@ def simulates_best(
     best, least = min(narrowing, key=lambda fit_and_product: fit_and_product[1])
     alternative, product = simulated(best)
     return alternative if product < least else best
+
+
+def simulates_better(before: Array, after: Array) -> bool:
+    """Return whether another machine simulates the fitted runs better, all runs counting alike.
+
+    Args:
+        before: Cost of each run in simulation, dimensionless, shape (runs,).
+        after: The same with the other machine; not finite where its simulation diverges.
+    """
+    return bool(np.isfinite(after).all() and np.mean(np.log(after)) < np.mean(np.log(before)))

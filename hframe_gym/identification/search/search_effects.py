@@ -21,6 +21,7 @@ from ..fit.model_error import (
 )
 from ..fit.run_differences import RunDifferences, find_run_differences
 from ..fit.run_observers import fit_run_by_run
+from ..fit.slow_logs import fit_slow_log
 from ..fit.start_estimation import refine_dataset
 from ..judge.criteria import SelectionCriteria
 from ..judge.error import FitError, explains, is_enough, nearly_explains, required_gain
@@ -350,9 +351,13 @@ class _Search:
         )
 
     def _final(self, fitted: Fit) -> Fit:
-        """Return a fit refined in simulation and, if it explains the data, with the observer that each run requires."""
-        refined = self._refined(fitted)
-        return fit_run_by_run(refined, self._data_of(fitted)) if self._explains(fitted) else refined
+        """Return a fit refined in simulation and, if it explains the data, with the observer that each run requires.
+
+        Logs that are slower than the controller are fitted by instruments, if that is better.
+        """
+        refined, data = self._refined(fitted), self._data_of(fitted)
+        by_run = fit_run_by_run(refined, data) if self._explains(fitted) else refined
+        return fit_slow_log(by_run, data)
 
     def _data_of(self, fitted: Fit) -> Dataset:
         """Return the runs with the encoders' zeros that follow from the effects of a fit."""

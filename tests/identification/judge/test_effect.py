@@ -60,8 +60,8 @@ def by_chance(gain: float, ratio: float) -> Chance:
 
 CHANCE = "reduces the error by no more than chance may, since the remaining error is correlated in time"
 BETWEEN_ROWS = (
-    "reduces the error little more than another number of voltage changes between the rows, "
-    "which is not known exactly, does"
+    "reduces the error little more than another interpolation of the voltages between the rows, "
+    "which are not known, does"
 )
 FORM = "adds 19 % to the force of drag@x, which depends on the same variable: the form of that effect may be in error"
 

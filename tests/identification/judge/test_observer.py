@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
 import pytest
 
-from hframe_gym.identification.judge.observer import likeliest, simulates_best
+from hframe_gym.identification.judge.observer import likeliest, simulates_best, simulates_better
 
 pytestmark = pytest.mark.unit
 
@@ -53,3 +54,11 @@ def test_the_final_fit_has_the_smallest_product_of_costs(
 
     assert simulates_best(products.items(), in_simulation) == expected
     assert continued == [min(products, key=lambda bandwidth: products[bandwidth])]
+
+
+@pytest.mark.parametrize(
+    ("after", "better"),
+    [([1.0, 9.0], True), ([10.0, 10.0], False), ([5.0, np.inf], False), ([2.0, 60.0], False)],
+)
+def test_a_machine_simulates_better_if_all_runs_together_say_so(after: list[float], better: bool) -> None:
+    assert simulates_better(np.array([10.0, 10.0]), np.array(after)) == better

@@ -1,0 +1,281 @@
+"""Fit a machine to logs that are slower than the controller, whose voltages between the rows are interpolated.
+
+A controller answers each rounding error of an encoder with a voltage that lasts until it reads the encoder again. In a
+slow log, interpolation spreads this voltage over the intervals on both sides of the row. The interpolated voltages then
+err by some 20 mV, and least squares fail in three ways:
+
+- The voltage before a row already contains the answer to the measurement of the row. Least squares take the correlation
+  of both for an effect of the voltage on the motion: pulleys seemed up to 13 % heavier. Therefore the residual must not
+  be orthogonal to the derivatives themselves, but to *instruments*: derivatives computed from smoothed voltages and
+  measurements, which follow the motion as well and hardly contain single rounding errors.
+- The errors of the voltages push the machine about, so that the residual is correlated in time and between sensors. An
+  autoregression makes it white, residual and derivatives alike.
+- Where a voltage jumps between two rows, interpolation fails. Rows that it affects are left out.
+
+Both rows and autoregression follow from the residual, and are found anew after each step of the parameters.
+
+A fit to residuals that the statistics of the interpolation make white (`voltage_errors`) uses the data better, where
+these statistics are right; instruments need none. The fit that simulates the fitted runs better is taken.
+
+References:
+    Söderström and Stoica (1983), "Instrumental Variable Methods for System Identification".
+    Ljung (1999), "System Identification", sections 7.5 and 13.4.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+from scipy.signal import savgol_filter
+
+from ...arrays import Array
+from ...machine import Machine
+from ...preparation.dataset import Dataset, PreparedRecording
+from ..budget import spend
+from ..judge.observer import simulates_better
+from ..predict.free_parameters import bounded_step, prior_precision
+from ..predict.linearization import ResidualModel
+from ..predict.prediction import POLISH_STEP, SEARCH_BANDWIDTH, SIMULATION, innovation_variance, map_runs
+from .covariance import principal_directions
+from .estimation import Fit, prediction_cost, prediction_costs
+from .model_error import search_step
+
+_ORDER = 12  # rows of the autoregression: errors of the voltages last as long as the belts vibrate
+# Rows of the cubics by which voltages and measurements are smoothed for the instruments: a single row counts 16 %.
+# Windows from 9 to 31 rows gave the same parameters.
+_SMOOTHED_ROWS = 15
+_CHANCE = 1e-6  # probability that Gaussian errors exceed those at which a row is left out
+_ROWS_PER_COEFFICIENT = 10  # fewer rows do not determine an autoregression
+_ROUNDS = 10  # steps of the parameters, at most
+_LONGEST_STEP = 0.5  # of theta, where the residual is not linear
+_CONVERGED = 1.0  # decrease of the cost: that of one standard deviation
+
+
+class _Whitening(NamedTuple):
+    """Autoregression that makes the residual of s sensors white, with unit variance.
+
+    Attributes:
+        coefficients: Prediction of a row from the `_ORDER` rows before it, the latest first, shape (_ORDER * s, s).
+        root: Inverse Cholesky factor of the covariance of its errors, shape (s, s).
+    """
+
+    coefficients: Array
+    root: Array
+
+    def __call__(self, values: Array) -> Array:
+        """Return whitened rows, shape (k, n - _ORDER, s), of k residuals or derivatives of n rows."""
+        sensors = len(self.root)
+        rows = values.reshape(len(values), -1, sensors)
+        errors = rows[:, _ORDER:].copy()
+        for lag, of_lag in enumerate(self.coefficients.reshape(_ORDER, sensors, sensors), 1):
+            errors -= rows[:, _ORDER - lag : -lag] @ of_lag
+        return np.asarray(errors @ self.root.T)
+
+
+class _Linear(NamedTuple):
+    """Linearized residual of a run.
+
+    Attributes:
+        residual: Residual, shape (1, n * s).
+        jacobian: Its derivatives with respect to k parameters, shape (k, n * s).
+        instruments: The derivatives with smoothed voltages and measurements, shape (k, n * s).
+    """
+
+    residual: Array
+    jacobian: Array
+    instruments: Array
+
+
+class _Models(NamedTuple):
+    """Residuals of a machine, with the voltages and measurements as they are, and smoothed.
+
+    Attributes:
+        measured: Residual as a function of the parameters.
+        smooth: The same with smoothed voltages and measurements.
+    """
+
+    measured: ResidualModel
+    smooth: ResidualModel
+
+    @classmethod
+    def of(cls, fitted: Fit, data: Dataset) -> _Models:
+        """Return the models of a fitted machine."""
+        smooth = dataclasses.replace(data, runs=tuple(map(_smoothed, data.runs)))
+        return cls(
+            *(
+                ResidualModel(fitted.machine, fitted.free, d, SEARCH_BANDWIDTH, search_step(SIMULATION))
+                for d in (data, smooth)
+            )
+        )
+
+    @property
+    def sensors(self) -> int:
+        """Number of sensors."""
+        return len(self.measured.machine.sensors)
+
+    @property
+    def all_rows(self) -> list[NDArray[np.bool_]]:
+        """Mask of the rows that have enough rows before them, for each run."""
+        return [np.ones(len(run.time_s) - _ORDER, np.bool_) for run in self.measured.data.runs]
+
+    def linearize(self, theta: Array) -> list[_Linear]:
+        """Return the linearized residual of each run, and its instruments.
+
+        Differences are taken along the principal axes of the information, like those of the covariance.
+        """
+        information = self.measured.linearize(theta).normal_equations.information
+        if not np.isfinite(information).all():
+            information = np.zeros_like(information)
+        directions = principal_directions(information, prior_precision(self.measured.free))
+        measured, smooth = (_differences(model, theta, directions) for model in self)
+        return [
+            _Linear(residual, jacobian, instruments)
+            for (residual, jacobian), (_, instruments) in zip(measured, smooth, strict=True)
+        ]
+
+
+def _differences(model: ResidualModel, theta: Array, directions: Array) -> list[tuple[Array, Array]]:
+    """Return residual, shape (1, n * s), and derivatives, (k, n * s), of each run by differences along directions."""
+    point = model.at(theta)
+    inverse = np.linalg.inv(directions)
+
+    def of_run(run: PreparedRecording) -> tuple[Array, Array]:
+        residual = point.residuals(run, directions.T)[0]
+        return residual[:1], inverse.T @ (residual[1:] - residual[0])
+
+    return list(map_runs(of_run, model.data))
+
+
+def fit_slow_log(fitted: Fit, data: Dataset) -> Fit:
+    """Fit a machine again by instruments, if the voltages of its runs are interpolated between the rows.
+
+    The cost is that part of the white residual that the instruments can represent, plus the prior (two-stage least
+    squares). An observer of the search's bandwidth corrects the predictions; the autoregression makes up for it.
+
+    Args:
+        fitted: Final fit of a machine.
+        data: Runs that were fitted (times, voltages, measurements, SI).
+
+    Returns:
+        Fit with the same observer: machine, k parameters theta, dimensionless, shape (k,), cost (chi-squared).
+        `fitted` itself if the voltages are held, the rows are too few, the steps do not converge, or the new machine
+        does not simulate the runs better (`judge.observer.simulates_better`).
+    """
+    if not data.has_voltage_errors or not _are_enough(data):
+        return fitted
+    by_instruments = _by_instruments(fitted, data.without_voltage_errors())
+    if by_instruments is None:
+        return fitted
+    theta, machine, information = by_instruments
+    before, after = (
+        prediction_costs(m, data, SIMULATION, longest_step=POLISH_STEP) for m in (fitted.machine, machine)
+    )
+    if not simulates_better(before, after):
+        return fitted
+    return _finished(fitted, machine, theta, information, data)
+
+
+def _by_instruments(fitted: Fit, data: Dataset) -> tuple[Array, Machine, Array] | None:
+    """Return theta, the machine and the information of a fit by instruments; None if it does not converge."""
+    models, theta, prior = _Models.of(fitted, data), fitted.theta, prior_precision(fitted.free)
+    used = models.all_rows
+    for _ in range(_ROUNDS):
+        spend()
+        linear = models.linearize(theta)
+        if not all(np.isfinite(part).all() for of_run in linear for part in of_run):
+            return None
+        whitening, used = _whitening([of_run.residual for of_run in linear], used, models.sensors)
+        information, gradient = _normal_equations(linear, whitening, used, prior)
+        slope = gradient + prior @ theta
+        step = bounded_step(fitted.free, theta, information + prior, slope)
+        step *= min(1.0, _LONGEST_STEP / max(float(np.abs(step).max()), 1e-300))
+        theta = theta + step
+        if -float(slope @ step) < _CONVERGED:
+            return theta, models.measured.machine_at(theta), information
+    return None
+
+
+def _are_enough(data: Dataset) -> bool:
+    """Return whether the rows of the runs determine an autoregression."""
+    sensors = data.runs[0].outputs.shape[1]
+    rows = [len(run.time_s) for run in data.runs]
+    return min(rows) > 2 * _ORDER and sum(rows) > _ROWS_PER_COEFFICIENT * _ORDER * sensors
+
+
+def _finished(fitted: Fit, machine: Machine, theta: Array, information: Array, data: Dataset) -> Fit:
+    """Return the fit with other parameters, and its cost with the observer that it had."""
+    data = data.with_observers(fitted.observers)
+    cost = prediction_cost(machine, data, fitted.bandwidth, longest_step=fitted.longest_step)
+    floor = innovation_variance(machine, data, fitted.bandwidth)[0]
+    if not math.isfinite(cost):
+        return fitted
+    return dataclasses.replace(
+        fitted,
+        machine=machine,
+        theta=theta,
+        cost=cost,
+        count=data.count,
+        floor=floor,
+        information=information,
+    )
+
+
+def _smoothed(run: PreparedRecording) -> PreparedRecording:
+    """Return a run with smoothed voltages and measurements; those that are missing are interpolated."""
+    outputs = run.outputs.copy()
+    for values in outputs.T:
+        measured = np.isfinite(values)
+        if measured.any():
+            values[:] = savgol_filter(
+                np.interp(run.time_s, run.time_s[measured], values[measured]), _SMOOTHED_ROWS, 3
+            )
+    return dataclasses.replace(
+        run, inputs=savgol_filter(run.inputs, _SMOOTHED_ROWS, 3, axis=0), outputs=outputs
+    )
+
+
+def _earlier(rows: Array) -> Array:
+    """Return the `_ORDER` rows before each of n rows, the latest first, shape (n - _ORDER, _ORDER * s)."""
+    return np.hstack([rows[_ORDER - lag : -lag] for lag in range(1, _ORDER + 1)])
+
+
+def _whitening(
+    residuals: Sequence[Array], used: Sequence[NDArray[np.bool_]], sensors: int
+) -> tuple[_Whitening, list[NDArray[np.bool_]]]:
+    """Fit the autoregression to the rows that are used, and find these: rows with errors that chance explains."""
+    limit = stats.chi2.isf(_CHANCE, sensors)
+    rows = [residual.reshape(-1, sensors) for residual in residuals]
+    regressors = np.concatenate([_earlier(of_run) for of_run in rows])
+    values = np.concatenate([of_run[_ORDER:] for of_run in rows])
+    kept, ends = np.concatenate(used), np.cumsum([len(of_run) for of_run in used])[:-1]
+    for _ in range(_ROUNDS):
+        coefficients = np.linalg.lstsq(regressors[kept], values[kept], rcond=None)[0]
+        errors = values - regressors @ coefficients
+        covariance = errors[kept].T @ errors[kept] / max(int(kept.sum()), 1)
+        root = np.linalg.inv(np.linalg.cholesky(covariance + 1e-9 * np.eye(sensors)))
+        before, kept = kept, np.sum((errors @ root.T) ** 2, axis=1) < limit
+        if np.array_equal(before, kept):
+            break
+    return _Whitening(coefficients, root), np.split(kept, ends)
+
+
+def _normal_equations(
+    linear: Sequence[_Linear], whitening: _Whitening, used: Sequence[NDArray[np.bool_]], prior: Array
+) -> tuple[Array, Array]:
+    """Return information, shape (k, k), and gradient, (k,), of the white residual's part that instruments represent."""
+    k = len(prior)
+    products = np.zeros((k, 2 * k + 1))
+    for of_run, kept in zip(linear, used, strict=True):
+        parts = np.vstack([of_run.instruments, of_run.jacobian, of_run.residual])
+        white = whitening(parts)[:, kept].reshape(len(parts), -1)
+        products += white[:k] @ white.T
+    # A small part of the prior keeps combinations without instruments determined; it moves no parameter.
+    own, of_jacobian, of_residual = products[:, :k], products[:, k:-1], products[:, -1]
+    projected_rows = of_jacobian.T @ np.linalg.inv(own + 0.01 * prior)
+    return np.asarray(projected_rows @ of_jacobian), np.asarray(projected_rows @ of_residual)

@@ -1,0 +1,171 @@
+"""Tests of the errors of voltages that are interpolated between the rows of a log."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from hframe_gym.dynamics import rollout
+from hframe_gym.identification import Dataset, Fit, SelectionCriteria, default_free_parameters, fit, prepare
+from hframe_gym.identification.fit.estimation import prediction_cost
+from hframe_gym.identification.fit.model_error import bandwidths_for, continue_fit
+from hframe_gym.identification.fit.residual import channel_errors
+from hframe_gym.identification.fit.slow_logs import _by_instruments, fit_slow_log
+from hframe_gym.identification.fit.voltage_updates import (
+    VoltagesChangeError,
+    count_updates,
+    require_updates,
+)
+from hframe_gym.identification.predict.prediction import (
+    NARROWEST_WITH_VOLTAGE_ERRORS,
+    SEARCH_BANDWIDTH,
+    SIMULATION,
+    whitened,
+)
+from hframe_gym.identification.predict.start_uncertainty import prediction_residuals
+from hframe_gym.identification.predict.voltage_errors import (
+    interpolation_variance,
+    simulation_error,
+    with_voltage_errors,
+)
+from hframe_gym.machine import BUILTIN_MACHINES
+from hframe_gym.recordings import Recording
+
+pytestmark = pytest.mark.unit
+Array = NDArray[np.float64]
+AXIS = BUILTIN_MACHINES["belt-axis"]()
+RIG = AXIS.replace({"x.mass": 1.1 * AXIS.parameters["x.mass"]})
+PERIOD = 1e-3  # s, of the controller
+ROWS = 1500
+RUNS = 6
+UPDATES = 4  # of the voltage from one row of the log to the next
+
+
+def controlled(seed: int) -> Recording:
+    """Return a run at the rate of a controller that reads the encoder of the motor, with its rounding errors."""
+    rng = np.random.default_rng(seed)
+    places = np.repeat(rng.uniform(-0.05, 0.05, 1 + ROWS // 250), 250)[:ROWS]
+    places[:100] = 0.0
+    window = np.hanning(60) / np.hanning(60).sum()
+    goal = np.convolve(places, window, "full")[:ROWS] / AXIS.coordinates[1].radius  # rad
+    speed = np.gradient(goal, PERIOD)
+    steps = np.array([sensor.resolution for sensor in AXIS.sensors])
+    noise = rng.normal(0.0, [sensor.noise for sensor in AXIS.sensors], (ROWS, 2))
+    state, last = np.zeros(4), 0.0
+    inputs, outputs = np.zeros((ROWS, 1)), np.zeros((ROWS, 2))
+    for row in range(ROWS):
+        exact = RIG.sensor_matrix @ state[:2] + noise[row] + 0.3 * steps
+        angle, outputs[row, 1] = np.round(exact[0] / steps[0]) * steps[0], exact[1]
+        outputs[row, 0] = angle
+        if row >= 100:
+            volts = 10.0 * (goal[row] - angle) + 0.05 * (speed[row] - (angle - last) / PERIOD)
+            inputs[row] = np.clip(volts, -12.0, 12.0)
+        last = angle
+        interval = np.array([0.0, PERIOD]), np.repeat(inputs[row : row + 1], 2, axis=0)
+        state = rollout(RIG, *interval, start=state, velocities=True, parallel=False)[0, -1]
+    return Recording(f"run_{seed}", np.arange(ROWS) * PERIOD, inputs, outputs)
+
+
+@cache
+def slow_log() -> Dataset:
+    """Return logs with every fourth row of the runs."""
+    runs = map(controlled, range(RUNS))
+    logs = [Recording(r.name, r.time_s[::4], r.inputs[::4], r.outputs[::4]) for r in runs]
+    return prepare(logs, AXIS)
+
+
+@cache
+def interpolated() -> Dataset:
+    """Return the logs with interpolated voltages, without regard to their errors."""
+    return slow_log().with_updates(UPDATES)
+
+
+@cache
+def with_errors() -> Dataset:
+    """Return the logs with interpolated voltages and their errors."""
+    return with_voltage_errors(AXIS, interpolated())
+
+
+@cache
+def least_squares() -> Fit:
+    """Return the fit that knows nothing of the errors."""
+    return fit(AXIS, default_free_parameters(AXIS), interpolated(), SEARCH_BANDWIDTH)
+
+
+def errors(fitted: Fit) -> Array:
+    """Return the relative errors of the masses of carriage and pulley."""
+    return np.array([fitted.values[name] / RIG.parameters[name] - 1.0 for name in ("x.mass", "phi.mass")])
+
+
+def test_the_exact_machine_leaves_white_residuals_with_the_variance_of_noise() -> None:
+    narrow = NARROWEST_WITH_VOLTAGE_ERRORS
+    raw, white = (prediction_cost(RIG, data, narrow) / data.count for data in (interpolated(), with_errors()))
+    assert raw > 2.0
+    assert 0.5 < white < 1.4  # the errors of this controller, which differentiates rounding errors, alternate
+    residual = prediction_residuals(RIG, with_errors().runs[0], with_errors(), narrow).reshape(-1, 2)
+    assert np.all(np.abs(np.sum(residual[1:] * residual[:-1], axis=0)) < 0.4 * np.sum(residual**2, axis=0))
+
+
+def test_the_errors_of_voltages_no_longer_make_a_pulley_too_heavy() -> None:
+    """The voltage before a row contains the controller's answer to its rounding error."""
+    fitted = continue_fit(least_squares(), with_errors(), NARROWEST_WITH_VOLTAGE_ERRORS)
+    assert errors(least_squares())[1] > 0.02
+    assert np.abs(errors(fitted)[1]) < 0.5 * errors(least_squares())[1]
+
+
+@pytest.mark.parametrize("first", [UPDATES - 1, UPDATES + 2])
+def test_the_changes_of_the_voltage_are_counted(first: int) -> None:
+    assert count_updates(least_squares(), with_errors().with_updates(first)) == UPDATES
+
+
+def test_a_search_asks_again_how_often_the_voltages_change() -> None:
+    criteria, more = SelectionCriteria(), with_errors().with_updates(2 * UPDATES)
+    fitted = continue_fit(least_squares(), more, SEARCH_BANDWIDTH)
+    with pytest.raises(VoltagesChangeError) as raised:
+        require_updates(fitted, more, criteria)
+    assert raised.value.updates.per_row == UPDATES
+    require_updates(fitted, dataclasses.replace(more, updates_settled=True), criteria)
+    right = continue_fit(least_squares(), with_errors(), NARROWEST_WITH_VOLTAGE_ERRORS)
+    require_updates(right, with_errors(), criteria)
+
+
+def test_the_statistics_predict_the_error_of_a_simulation() -> None:
+    data = with_errors()
+    expected = simulation_error(RIG, data)
+    actual = np.array([error.rmse for error in channel_errors(RIG, data).values()])
+    assert np.all(expected > 2.0 * data.noise)
+    assert np.all((expected > 0.4 * actual) & (expected < 5.0 * actual))
+
+
+def test_where_the_voltages_are_held_nothing_changes() -> None:
+    residual, data = np.ones((2, 6)), slow_log()
+    assert whitened(residual, data.runs[0], SEARCH_BANDWIDTH) is residual
+    assert not simulation_error(RIG, data).any()
+    assert bandwidths_for(data)[-1] == SIMULATION
+
+
+def test_resting_voltages_have_no_error() -> None:
+    inputs = np.zeros((100, 1))
+    inputs[50:60, 0] = np.random.default_rng(0).normal(size=10)
+    variance = interpolation_variance(inputs)
+    assert variance.shape == (99, 1)
+    assert np.all(variance[:40] == 0.0)
+    assert np.all(variance[52:58] > 0.0)
+
+
+def test_instruments_weigh_a_pulley_that_least_squares_find_too_heavy() -> None:
+    found = _by_instruments(least_squares(), interpolated())
+    assert found is not None
+    masses = np.array([found[1].parameters[name] for name in ("x.mass", "phi.mass")])
+    exact = np.array([RIG.parameters[name] for name in ("x.mass", "phi.mass")])
+    assert np.all(np.abs(masses / exact - 1.0) < 0.5 * np.abs(errors(least_squares())))
+
+
+def test_a_log_with_held_voltages_or_few_rows_is_not_fitted_by_instruments() -> None:
+    few = dataclasses.replace(with_errors(), runs=tuple(run.first_rows(20) for run in with_errors().runs))
+    assert fit_slow_log(least_squares(), few) is least_squares()
+    assert fit_slow_log(least_squares(), slow_log()) is least_squares()
