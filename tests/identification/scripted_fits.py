@@ -78,7 +78,7 @@ class Scripted:
             "force_difference": lambda a, b, data: self.difference,
             "fit_with_model_error": lambda fitted, data: fitted,
             "with_probable_starts": lambda current, data, criteria: (current, data),
-            "require_held_voltages": lambda current, data, criteria: None,
+            "require_updates": lambda current, data, criteria: None,
             "narrower_observer": lambda fitted, data: fitted,
             "continue_fit": lambda fitted, data, bandwidth: fit_with(
                 chi2=self.simulated, bandwidth=bandwidth

@@ -144,12 +144,14 @@ def test_a_fit_in_simulation_needs_no_other_observer() -> None:
 
 def test_the_loss_is_chi_squared_in_units_of_the_innovations_variance() -> None:
     """Position gain K = 2 * bandwidth * period; innovations have 1 / (1 - K) times the variance of the noise."""
-    data: Any = SimpleNamespace(period=1e-3, runs=[SimpleNamespace(weights=np.ones((100, 1)))])
+    data: Any = SimpleNamespace(
+        period=1e-3, has_voltage_errors=False, runs=[SimpleNamespace(weights=np.ones((100, 1)))]
+    )
     variance = 1.0 / (1.0 - 2.0 * 30.0 * 1e-3)
     loss = model_error.likelihood_loss(fit_with(chi2=1.3, bandwidth=30.0), data)
     assert loss == pytest.approx(1.3 / variance + np.log(variance))
     assert model_error.likelihood_loss(fit_with(chi2=1.3), data) == pytest.approx(1.3)
-    slow: Any = SimpleNamespace(period=0.1, runs=data.runs)
+    slow: Any = SimpleNamespace(period=0.1, has_voltage_errors=False, runs=data.runs)
     assert model_error.likelihood_loss(fit_with(chi2=1.3, bandwidth=60.0), slow) == pytest.approx(
         0.13 + np.log(10.0)
     )
@@ -160,7 +162,9 @@ def test_sensors_count_by_their_number_of_measurements() -> None:
     machine = HFRAME
     weights = np.zeros((90, 4))
     weights[:, 0], weights[:30, 2] = 1.0, 1.0
-    data: Any = SimpleNamespace(period=1e-3, runs=[SimpleNamespace(weights=weights)])
+    data: Any = SimpleNamespace(
+        period=1e-3, has_voltage_errors=False, runs=[SimpleNamespace(weights=weights)]
+    )
     fitted = dataclasses.replace(fit_with(chi2=1.0, bandwidth=60.0), machine=machine)
     encoder, laser = 1.0 / (1.0 - 0.12), 1.0 / (1.0 - 0.05)
     expected = 1.0 / (0.75 * encoder + 0.25 * laser) + 0.75 * np.log(encoder) + 0.25 * np.log(laser)

@@ -689,3 +689,21 @@ def test_the_next_command_is_one_that_the_machine_permits() -> None:
     assert next_command("effect_found", AXIS, Path("out/rig")).startswith(
         "hframe evaluate pid --machine out/rig/"
     )
+
+
+def test_a_slow_log_is_named_first() -> None:
+    errors = {"x_m": {"rmse": 1e-3, "noise_ratio": 50.0}}
+    unknown = {"changes_per_row": 5, "period_s": 1e-3, "errors": {"x_m": 3e-5, "y_m": 2e-5, "phi1_rad": 2e-3}}
+    report = {
+        "verdict": "unexplained",
+        "effects": [],
+        "unknown_voltages": unknown,
+        "residual": {"depends_on": []},
+    } | {stage: {"held_out": errors} for stage in ("declared", "before", "after")}
+    sentence = verdict_sentence(report, ["x_m"])
+    assert sentence.startswith(
+        "The controller changes the voltages about 5 times between two rows of this log (every 1 ms)"
+    )
+    assert "errs by 30 µm at x_m and 2 mrad at phi1_rad (rms)" in sentence
+    assert "log every row of the controller" in sentence
+    assert "two rows" not in verdict_sentence(report | {"unknown_voltages": None}, ["x_m"])
