@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from hframe_gym.dynamics import rollout
 from hframe_gym.identification import Dataset, Fit, SelectionCriteria, default_free_parameters, fit, prepare
+from hframe_gym.identification.fit.channel_errors import channel_errors
 from hframe_gym.identification.fit.estimation import prediction_cost
 from hframe_gym.identification.fit.model_error import bandwidths_for, continue_fit
-from hframe_gym.identification.fit.residual import channel_errors
 from hframe_gym.identification.fit.slow_logs import _by_instruments, fit_slow_log
 from hframe_gym.identification.fit.voltage_updates import (
     VoltagesChangeError,
