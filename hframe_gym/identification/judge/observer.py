@@ -60,6 +60,6 @@ def simulates_better(before: Array, after: Array) -> bool:
 
     Args:
         before: Cost of each run in simulation, dimensionless, shape (runs,).
-        after: The same with the other machine; not finite where its simulation diverges.
+        after: The same with the other machine, shape (runs,); not finite where its simulation diverges.
     """
     return bool(np.isfinite(after).all() and np.mean(np.log(after)) < np.mean(np.log(before)))
