@@ -30,6 +30,7 @@ def test_names_of_the_shipped_agents():
         "ppo_mix",
         "residual",
         "sac",
+        "sac_mix",
     )
 
 
@@ -103,7 +104,7 @@ def test_another_machine_or_period_than_in_training_gives_one_warning(scenario, 
 
 def test_other_names_are_left_to_other_sources_and_listed(tmp_path):
     assert AgentSource.make("no-such-agent", Scenario()) is None
-    choices = r"pid.*a shipped agent \(apg, apg_mix, .*, sac, or one of them by NAME-seedN\)"
+    choices = r"pid.*a shipped agent \(apg, apg_mix, .*, sac_mix, or one of them by NAME-seedN\)"
     with pytest.raises(InputError, match=f"controller 'out/no': there is no such folder; choose {choices}"):
         make_controller("out/no", Scenario())
     with pytest.raises(InputError, match=f"'no-such-agent' is unknown; choose {choices}"):
