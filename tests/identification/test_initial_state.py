@@ -131,7 +131,8 @@ def test_an_eccentric_pulley_rests_where_the_simulator_has_it(hframe: Machine) -
 def test_behind_a_gap_the_belts_bear_what_exceeds_it(hframe: Machine, stretch: float, left: float) -> None:
     """The encoder measures the motor, which friction holds; half the gap is 2 mrad."""
     position, angles = np.array([0.06, -0.03]), rigid(np.array([0.06, -0.03]))
-    machine = hframe.with_effects(EFFECTS["gear_backlash"].at("motor1", d=2e-3, J=4e-5, F=0.02, K=100.0))
+    gap = EFFECTS["gear_backlash"].at("motor1", d=2e-3, J=4e-5, F=0.02, B=0.0, K=100.0, Z=0.5)
+    machine = hframe.with_effects(gap)
     initial = initial_at(position, angles + np.array([stretch, 0.0]), known=True)
     state = model_initial_states(machine, [dataclasses.replace(initial, zeros_refined=True)])[0]
     assert state[2] == pytest.approx(angles[0] + stretch)
