@@ -12,6 +12,7 @@ from hframe_gym.data_validation import check_recordings
 from hframe_gym.errors import InputError
 from hframe_gym.identification import SelectionCriteria, identify, prepare
 from hframe_gym.identification.fit.estimation import fit
+from hframe_gym.identification.fit.plain_fit import better_start, plain_fit
 from hframe_gym.identification.fit.run_differences import find_run_differences
 from hframe_gym.identification.predict.free_parameters import default_free_parameters
 from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH
@@ -236,3 +237,14 @@ def test_a_command_far_from_zero_is_no_wrong_unit():
     machine, recordings = displaced_runs(0, 500.0)
     found = check_recordings(recordings, machine)
     assert not [f for f in found if f.channel == "phi_rad" and f.severity != "note"]
+
+
+def test_a_refit_starts_from_the_output_error_fit_where_the_file_is_wrong_by_a_factor():
+    servo, sensors = SERVOS["position"], (SENSORS["position"],)
+    declared = servo_machine("position", servo).replace({"shaft.mass": 2e-5, "shaft.coulomb": 4e-4})
+    data = prepare(recordings_of("position", servo, sensors)[:1], declared)
+    plain = plain_fit(declared, data)
+    assert plain is not None
+    start = better_start(declared, data, plain)
+    assert start.parameters["shaft.mass"] == pytest.approx(2e-4, rel=0.1)
+    assert not start.effects

@@ -59,7 +59,8 @@ class PlainFit:
     """Result of a plain fit.
 
     Attributes:
-        start: The machine with the inertia and friction of the inverse dynamics, without further terms.
+        start: The machine with the inertia and friction of the inverse dynamics, without further terms; with a drive
+            that follows a set point, for which there are none, those of the output-error fit.
         simulated: Output-error fit; its machine may have a constant force, a weight and an input delay as effects.
     """
 
@@ -108,6 +109,8 @@ def plain_fit(machine: Machine, data: Dataset) -> PlainFit | None:
     if machine.belts:
         return PlainFit(start, best)
     best = min((best, *_output_error_fits(start, free, equal)), key=_finite_cost)
+    if machine.drive_laws:
+        start, free = best.machine, wide_parameters(best.machine)
     present = {e.label for e in machine.effects}
     for effect in (e for e in _terms(start, offsets) if e.label not in present):
         terms = _term_parameters(effect, machine)
