@@ -242,7 +242,8 @@ def test_a_command_far_from_zero_is_no_wrong_unit():
 def test_a_refit_starts_from_the_output_error_fit_where_the_file_is_wrong_by_a_factor():
     servo, sensors = SERVOS["position"], (SENSORS["position"],)
     declared = servo_machine("position", servo).replace({"shaft.mass": 2e-5, "shaft.coulomb": 4e-4})
-    data = prepare(recordings_of("position", servo, sensors)[:1], declared)
+    run = recordings_of("position", servo, sensors)[0]
+    data = prepare([Recording("run", run.time_s[:200], run.inputs[:200], run.outputs[:200])], declared)
     plain = plain_fit(declared, data)
     assert plain is not None
     start = better_start(declared, data, plain)
