@@ -97,7 +97,7 @@ def identify(
     delivered = no_worse(evaluated, found.plain, log, budget)
     outcome = delivered.evaluated.outcome
     remarks = (*found.remarks, *delivered.remarks)
-    if remarks or outcome.verdict == "unexplained":
+    if (remarks or outcome.verdict == "unexplained") and not found.outcome.unfinished:
         remarks += describe_run_differences(outcome.after, found.comparable_runs(session.data), criteria)
 
     # Report.
