@@ -166,6 +166,8 @@ def _unsupported_because(effect: AppliedEffect) -> str:
         return "it has a memory"
     if definition.force and "net" in argument_names(definition.force):
         return "it moves a sensor, not the tool"
+    if definition.force and "load" in argument_names(definition.force):
+        return "it depends on the force of the belts, which count as rigid"
     if (definition.current or definition.torque) and effect.name != "current_limit":
         return "effects on current and torque are not supported, except for current_limit"
     hooks = [getattr(definition, name) for name in MOTION_HOOKS]
