@@ -50,6 +50,7 @@ _SHARE = 0.42 / 20.0
 _ROWS = 9  # over which the squares of third differences are averaged; the motion changes more slowly
 # Product of the observer's bandwidth and the time after which a response is negligible; twice as long changes nothing.
 _SETTLED = 9.0
+_LARGEST_RESPONSE = 1e9  # noise per volt
 _DRAWS = 8  # of voltage errors, for their effect on simulations: their rms is 15 % accurate in a run
 
 
@@ -191,6 +192,8 @@ class InterpolationErrors(VoltageErrors):
         per_volt, _ = voltage_responses(
             self._machine, self._run, self._data, intervals, bandwidth, per_block=1, settled=_SETTLED
         )
+        # Where the machine diverges, its residual is infinite anyway; responses must not make the covariance so.
+        per_volt.data[~(np.abs(per_volt.data) < _LARGEST_RESPONSE)] = 0.0
         deviations = np.sqrt(interpolation_variance(self._run.inputs)).ravel()
         return sparse.csr_array(per_volt @ sparse.diags_array(deviations))
 
