@@ -40,11 +40,11 @@ def draw(contents: dict[str, dict[str, Any]]) -> Path:
     files = by_entry(contents)
     scores = {name: [plant_scores(content) for content in of_seeds] for name, of_seeds in files.items()}
     shown = [name for name in COLORS if name in files and f"{name}-corrected" in files]
-    steps = ["declared", *(step for step in STEPS if any(f"{name}-{step}" in files for name in shown))]
+    # The same plants for all points; entries that have not been scored on all of them are left out.
+    plants = sorted(set.intersection(*(set(s) for name in shown for s in scores[f"{name}-corrected"])))
+    scores = {name: of for name, of in scores.items() if all(set(plants) <= set(s) for s in of)}
+    steps = ["declared", *(step for step in STEPS if any(f"{name}-{step}" in scores for name in shown))]
     entries = {name: [name if step == "declared" else f"{name}-{step}" for step in steps] for name in shown}
-    # The same plants for all points, where an entry has not been scored on all of them.
-    scored = [set(s) for names in entries.values() for entry in names for s in scores.get(entry, ())]
-    plants = sorted(set.intersection(*scored))
     offsets = np.linspace(-LARGEST_OFFSET, LARGEST_OFFSET, max(len(shown), 2))
     for offset, (name, names) in zip(offsets, entries.items(), strict=False):
         present = [i for i, entry in enumerate(names) if entry in scores]
