@@ -123,7 +123,7 @@ def _network(agent: Any) -> tuple[Any, list[str], tuple[Any, ...]]:
             state, goal = observation["observation"], observation["desired_goal"]
             distance = mapping.meters * torch.linalg.vector_norm(goal - state[:, : goal.shape[1]], dim=1)
             speed = mapping.meters * torch.linalg.vector_norm(state[:, mapping.tool_speeds], dim=1)
-            action: torch.Tensor = mapping.combine(output, distance, speed, observation["last_action"])
+            action: torch.Tensor = mapping.parts(distance, speed, observation["last_action"]).action(output)
             return action.clip(-1.0, 1.0)
 
     spaces = policy.observation_space.spaces
