@@ -138,7 +138,7 @@ class _Killed(BaseException):
     [
         ("ppo", 14_000),
         ("sac_mix", 6_400),
-        ("crossq", 6_400),
+        pytest.param("crossq", 6_400, marks=pytest.mark.slow),
         pytest.param("tqc", 6_400, marks=pytest.mark.slow),
         pytest.param("sac_her", 6_400, marks=pytest.mark.slow),
         pytest.param("residual", 18_000, marks=pytest.mark.slow),
