@@ -24,10 +24,12 @@ from hframe_gym.identification.predict.prediction import (
     NARROWEST_WITH_VOLTAGE_ERRORS,
     SEARCH_BANDWIDTH,
     SIMULATION,
+    sensor_innovation_variance,
     whitened,
 )
 from hframe_gym.identification.predict.start_uncertainty import prediction_residuals
 from hframe_gym.identification.predict.voltage_errors import (
+    InterpolationErrors,
     interpolation_variance,
     simulation_error,
     with_voltage_errors,
@@ -108,6 +110,25 @@ def test_the_exact_machine_leaves_white_residuals_with_the_variance_of_noise() -
     assert 0.5 < white < 1.4  # the errors of this controller, which differentiates rounding errors, alternate
     residual = prediction_residuals(RIG, with_errors().runs[0], with_errors(), narrow).reshape(-1, 2)
     assert np.all(np.abs(np.sum(residual[1:] * residual[:-1], axis=0)) < 0.4 * np.sum(residual**2, axis=0))
+
+
+def test_residuals_are_whitened_window_by_window() -> None:
+    """Each value has unit variance given those before it; the memory does not grow with the observer's time."""
+    data = with_errors()
+    run, machine = data.runs[0].first_rows(203), AXIS
+    errors_of_run = InterpolationErrors(machine, run, data)
+    for bandwidth in (SEARCH_BANDWIDTH, NARROWEST_WITH_VOLTAGE_ERRORS):
+        responses = errors_of_run.responses(bandwidth)
+        noise = sensor_innovation_variance(machine, data.period, bandwidth)
+        covariance = (responses @ responses.T).toarray() + np.diag(np.tile(noise, 203))
+        root = np.linalg.cholesky(covariance)
+        white = errors_of_run.whiten(root.T, bandwidth)
+        correlation = white.T @ white
+        np.testing.assert_allclose(np.diag(correlation), 1.0, atol=1e-5)
+        assert np.sqrt(np.mean((correlation - np.eye(406)) ** 2)) < 0.02
+        exact = 2.0 * np.log(np.diag(root))
+        assert 0.0 <= np.mean(errors_of_run.log_variance(bandwidth)) - np.mean(exact) < 0.03
+        assert errors_of_run.memory(bandwidth) <= 400 * 203  # bytes a row, whatever the observer
 
 
 def test_the_errors_of_voltages_no_longer_make_a_pulley_too_heavy() -> None:

@@ -75,7 +75,10 @@ def voltage_responses(
 
     residual = predicted(run.inputs[None])[0]
     begins, ends = rows // per_block, np.minimum(-(-(rows + length) // per_block), blocks)
-    indices = [np.arange(begin * sensors, end * sensors) for begin, end in zip(begins, ends, strict=True)]
+    indices = [
+        np.arange(begin * sensors, end * sensors, dtype=np.int32)  # half the memory of the default
+        for begin, end in zip(begins, ends, strict=True)
+    ]
     pointers = np.concatenate([[0], np.cumsum([len(of_row) for of_row in indices for _ in range(drives)])])
     values = np.zeros(pointers[-1])
     together = _groups_together(most_values, run.outputs.size * drives)
