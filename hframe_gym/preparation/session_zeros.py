@@ -85,7 +85,15 @@ def refine_encoder_zeros(data: Dataset, machine: Machine, reference: Dataset | N
     runs = (data if reference is None else reference).runs
     if not machine.effects or not any(np.any(run.initial.resolves_stretch) for run in data.runs):
         return data
-    errors = encoder_zero_errors(machine, [run.initial for run in runs])
+    states = [run.initial for run in runs]
+    errors = encoder_zero_errors(machine, states)
+    bare = dataclasses.replace(machine, effects=(), ties={})
+    # Effects that change nothing at rest, such as those of friction, give no reason to correct zeros of all runs by the
+    # median of some. Measured in logs with interpolated voltages only (chi-squared 1.64 instead of 1.07).
+    if data.has_voltage_errors and np.allclose(
+        errors, encoder_zero_errors(bare, states), rtol=0.0, atol=1e-9
+    ):
+        return data
     initial = [_with_corrected_zeros(run.initial, machine, errors) for run in data.runs]
     corrected = (
         dataclasses.replace(run, initial=state, outputs=run.outputs - errors)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -156,6 +157,14 @@ def test_zeros_are_refined_under_the_force_of_a_cable(hframe: Machine) -> None:
         np.testing.assert_allclose(after.outputs[:, :2], before.outputs[:, :2] - errors[:2])
     # A machine without effects predicts nothing about the zeros.
     assert refine_encoder_zeros(data, hframe) is data
+    # In logs with interpolated voltages, neither does one whose effects act in motion only.
+    unknown: Any = object()
+    slow = dataclasses.replace(
+        data, runs=tuple(dataclasses.replace(run, voltage_errors=unknown) for run in runs)
+    )
+    friction = EFFECTS["stribeck_friction"].at("x", dF=1.0, vs=0.05)
+    assert refine_encoder_zeros(slow, hframe.with_effects(friction)) is slow
+    assert refine_encoder_zeros(slow, machine) is not slow
 
 
 # Starts and voltages of runs that leave and enter the range of a laser, +-0.1 m.

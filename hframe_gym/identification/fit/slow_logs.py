@@ -14,6 +14,9 @@ err by some 20 mV, and least squares fail in three ways:
 
 Both rows and autoregression follow from the residual, and are found anew after each step of the parameters.
 
+Instruments also tell how late the voltages act: the derivative with respect to their delay is one more regressor, and
+computed from smoothed voltages one more instrument (`excess_delay`).
+
 A fit to residuals that the statistics of the interpolation make white (`voltage_errors`) uses the data better, where
 these statistics are right; instruments need none. The fit that simulates the fitted runs better is taken.
 
@@ -32,6 +35,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
+from scipy.linalg import block_diag
 from scipy.signal import savgol_filter
 
 from ...arrays import Array
@@ -90,6 +94,18 @@ class _Linear(NamedTuple):
     residual: Array
     jacobian: Array
     instruments: Array
+
+
+class ExcessDelay(NamedTuple):
+    """By how much later the voltages act than their assumed changes between the rows say.
+
+    Attributes:
+        periods: Delay, sampling periods; negative if they act earlier.
+        deviation: Its standard deviation, sampling periods.
+    """
+
+    periods: float
+    deviation: float
 
 
 class _Models(NamedTuple):
@@ -179,6 +195,59 @@ def fit_slow_log(fitted: Fit, data: Dataset) -> Fit:
     if not simulates_better(before, after):
         return fitted
     return _finished(fitted, machine, theta, information, data)
+
+
+def excess_delay(fitted: Fit, data: Dataset) -> ExcessDelay | None:
+    """Estimate by instruments how much later the voltages act than the assumed number of their changes says.
+
+    Voltages that change n times a row and are held between the changes act later than continuous ones by 1 / (2 n)
+    sampling periods. The delay is estimated together with the parameters.
+
+    Args:
+        fitted: Fit of a machine to these runs.
+        data: Runs whose voltages change at least twice a row.
+
+    Returns:
+        Delay; None if the rows are too few or the parameters do not converge.
+    """
+    data = data.without_voltage_errors()
+    by_instruments = _by_instruments(fitted, data) if _are_enough(data) else None
+    if by_instruments is None:
+        return None
+    theta = by_instruments[0]
+    models = _Models.of(fitted, data)
+    linear = [
+        _Linear(
+            of_run.residual,
+            np.vstack([of_run.jacobian, by_delay]),
+            np.vstack([of_run.instruments, smooth_by_delay]),
+        )
+        for of_run, by_delay, smooth_by_delay in zip(
+            models.linearize(theta), *(_delay_derivatives(model, theta) for model in models), strict=True
+        )
+    ]
+    whitening, used = _whitening([of_run.residual for of_run in linear], models.all_rows, models.sensors)
+    prior = block_diag(prior_precision(fitted.free), 1.0)  # of the delay: one sampling period
+    information, gradient = _normal_equations(linear, whitening, used, prior)
+    covariance = np.linalg.inv(information + prior)
+    step = -covariance @ (gradient + prior @ np.append(theta, 0.0))
+    return ExcessDelay(float(step[-1]), math.sqrt(covariance[-1, -1]))
+
+
+def _delay_derivatives(model: ResidualModel, theta: Array) -> list[Array]:
+    """Return the derivative of each run's residual with respect to the voltages' delay, 1/period, shape (1, n * s)."""
+    fewer, more = model.data.updates - 1, model.data.updates + 1
+
+    def residuals_with(updates: int) -> list[Array]:
+        data = model.data.with_updates(updates)
+        point = dataclasses.replace(model, data=data).at(theta)
+        return list(map_runs(lambda run: point.residuals(run, np.zeros((0, len(theta))))[0], data))
+
+    delay = 0.5 / more - 0.5 / fewer  # periods
+    return [
+        (after - before) / delay
+        for before, after in zip(residuals_with(fewer), residuals_with(more), strict=True)
+    ]
 
 
 def _by_instruments(fitted: Fit, data: Dataset) -> tuple[Array, Machine, Array] | None:

@@ -3,8 +3,8 @@
 A controller that is faster than the log changes the voltages several times from one row to the next. The log does not
 say so, but the motion does: voltages that are held from row to row act late, by up to half a sampling period. A machine
 is therefore fitted with held voltages, then with voltages that are interpolated and change twice a row, three times and
-so on, while the error falls. If that reduces the error clearly, the changes are counted with the errors of the
-interpolated voltages taken into account (`voltage_errors`).
+so on, while the error falls. If that reduces the error clearly, the changes are counted by the delay that instruments
+find (`slow_logs.excess_delay`).
 """
 
 from __future__ import annotations
@@ -20,9 +20,10 @@ from ...preparation.dataset import Dataset
 from ..judge.criteria import SelectionCriteria
 from ..judge.run import UpdatesEvidence, voltages_change_between_rows
 from ..predict.prediction import SEARCH_BANDWIDTH
-from ..predict.voltage_errors import expected_excess, with_voltage_errors
+from ..predict.voltage_errors import expected_excess
 from .estimation import Fit, prediction_costs
-from .model_error import continue_fit, fit_with_model_error
+from .model_error import continue_fit
+from .slow_logs import excess_delay
 
 _MOST_UPDATES = 20  # a row; with more, voltages act earlier by less than a fortieth of a sampling period
 
@@ -82,10 +83,11 @@ def require_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> 
     if not data.has_voltage_errors:
         updates = voltage_updates(fitted, data, criteria)
     else:
+        excess = excess_delay(fitted, data)
+        if excess is None or (excess.periods / excess.deviation) ** 2 < stats.chi2.isf(criteria.chance, 1):
+            return
         per_row = count_updates(fitted, data)
         counted = continue_fit(fitted, data.with_updates(per_row), fitted.bandwidth)
-        if fitted.cost - counted.cost < stats.chi2.isf(criteria.chance, 1):
-            return
         held = continue_fit(fitted, data.with_held_voltages(), SEARCH_BANDWIDTH)
         updates = VoltageUpdates(per_row, held.chi2, counted.chi2)
     if updates.per_row != data.updates:
@@ -95,27 +97,39 @@ def require_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> 
 def count_updates(fitted: Fit, data: Dataset) -> int:
     """Count the changes of the voltages from one row to the next.
 
-    The errors of the interpolated voltages are taken into account. Without that, least squares find too many changes:
-    voltages that act earlier contain more of the controller's answer to the rounding error of the next row.
+    Voltages that change n times a row act later than continuous ones by 1 / (2 n) sampling periods, and instruments
+    tell by how much they act later or earlier than assumed. The error itself tells it less well: voltages that act
+    earlier contain more of the controller's answer to the rounding error of the next row, so that fits find too many
+    changes.
 
     Args:
-        fitted: Fit of a machine to the runs, with an observer that suits them.
-        data: Runs with the errors of interpolated voltages, and a first number of changes.
+        fitted: Fit of a machine to the runs.
+        data: Runs with a first number of changes, at least 2.
 
     Returns:
-        The number with the smallest cost next to the first one, from 2 to 20.
+        The number, from 2 to 20, whose delay is closest to the one that instruments find; the first one if they find
+        none.
     """
-    present = fit_with_model_error(continue_fit(fitted, data, fitted.bandwidth), data)
-    number = data.updates
-    for step in (1, -1):
-        while 2 <= number + step <= _MOST_UPDATES:
-            trial = continue_fit(present, data.with_updates(number + step), present.bandwidth)
-            if not trial.cost < present.cost:
+    number, excess = data.updates, excess_delay(fitted, data)
+    while excess is not None:
+        nearest = _number_with_delay(0.5 / number + excess.periods)
+        if nearest == number:
+            break
+        # Where effects are missing, the estimate depends on the number itself, and the one beside may be better.
+        for trial in dict.fromkeys((nearest, number + (1 if nearest > number else -1))):
+            changed = data.with_updates(trial)
+            found = excess_delay(continue_fit(fitted, changed, fitted.bandwidth), changed)
+            if found is not None and abs(found.periods) < abs(excess.periods):
+                number, excess = trial, found
                 break
-            present, number = trial, number + step
-        if number != data.updates:
+        else:
             break
     return number
+
+
+def _number_with_delay(periods: float) -> int:
+    """Return the number of changes a row with which voltages act later by about that many sampling periods."""
+    return min(range(2, _MOST_UPDATES + 1), key=lambda number: abs(0.5 / number - periods))
 
 
 def voltage_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> VoltageUpdates:
@@ -141,7 +155,7 @@ def voltage_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> 
         error = dataclasses.replace(best.error, floor=best.floor + excess)
         evidence = UpdatesEvidence(held.error, error, float(np.mean(after < before)))
         if voltages_change_between_rows(evidence, criteria):
-            per_row = count_updates(best, with_voltage_errors(best.machine, data.with_updates(per_row)))
+            per_row = count_updates(best, data.with_updates(per_row))
             fitted = continue_fit(best, data.with_updates(per_row), SEARCH_BANDWIDTH)
             return VoltageUpdates(per_row, held.chi2, fitted.chi2)
     return VoltageUpdates(1, held.chi2, held.chi2)
