@@ -80,7 +80,8 @@ def refine_encoder_zeros(data: Dataset, machine: Machine, reference: Dataset | N
 
     Returns:
         Copy with corrected initial states and measurements, m or rad, shape (n, sensors) for each run. `data` itself if
-        the machine has no effects, or no encoder with a known zero resolves the stretch of the belts.
+        the machine has no effects, if no encoder with a known zero resolves the stretch of the belts, or if the effects
+        change nothing at rest and the voltages are interpolated between the rows.
     """
     runs = (data if reference is None else reference).runs
     if not machine.effects or not any(np.any(run.initial.resolves_stretch) for run in data.runs):

@@ -10,6 +10,7 @@ import re
 import shlex
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -693,7 +694,12 @@ def test_the_next_command_is_one_that_the_machine_permits() -> None:
 
 def test_a_slow_log_is_named_first() -> None:
     errors = {"x_m": {"rmse": 1e-3, "noise_ratio": 50.0}}
-    unknown = {"changes_per_row": 5, "period_s": 1e-3, "errors": {"x_m": 3e-5, "y_m": 2e-5, "phi1_rad": 2e-3}}
+    unknown: dict[str, Any] = {
+        "changes_per_row": 5,
+        "period_s": 1e-3,
+        "errors": {"x_m": 3e-5, "y_m": 2e-5, "phi1_rad": 2e-3},
+        "fitted_by": "white residual",
+    }
     report = {
         "verdict": "unexplained",
         "effects": [],
@@ -707,3 +713,6 @@ def test_a_slow_log_is_named_first() -> None:
     assert "errs by 30 µm at x_m and 2 mrad at phi1_rad (rms)" in sentence
     assert "log every row of the controller" in sentence
     assert "two rows" not in verdict_sentence(report | {"unknown_voltages": None}, ["x_m"])
+    unknown["fitted_by"] = "instruments"
+    assert "fit by instruments" not in sentence
+    assert "fit by instruments" in verdict_sentence(report, ["x_m"])

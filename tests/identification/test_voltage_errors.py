@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from hframe_gym.dynamics import rollout
 from hframe_gym.identification import Dataset, Fit, SelectionCriteria, default_free_parameters, fit, prepare
 from hframe_gym.identification.fit.channel_errors import channel_errors
+from hframe_gym.identification.fit.covariance import with_uncertainty
 from hframe_gym.identification.fit.estimation import prediction_cost
 from hframe_gym.identification.fit.model_error import bandwidths_for, continue_fit
 from hframe_gym.identification.fit.slow_logs import _by_instruments, fit_slow_log
@@ -20,6 +21,7 @@ from hframe_gym.identification.fit.voltage_updates import (
     count_updates,
     require_updates,
 )
+from hframe_gym.identification.predict.free_parameters import prior_precision
 from hframe_gym.identification.predict.prediction import (
     NARROWEST_WITH_VOLTAGE_ERRORS,
     SEARCH_BANDWIDTH,
@@ -181,9 +183,18 @@ def test_resting_voltages_have_no_error() -> None:
 def test_instruments_weigh_a_pulley_that_least_squares_find_too_heavy() -> None:
     found = _by_instruments(least_squares(), interpolated())
     assert found is not None
-    masses = np.array([found[1].parameters[name] for name in ("x.mass", "phi.mass")])
+    masses = np.array([found.machine.parameters[name] for name in ("x.mass", "phi.mass")])
     exact = np.array([RIG.parameters[name] for name in ("x.mass", "phi.mass")])
     assert np.all(np.abs(masses / exact - 1.0) < 0.5 * np.abs(errors(least_squares())))
+    covariance = found.equations.covariance(prior_precision(least_squares().free))
+    fitted = dataclasses.replace(
+        least_squares(), machine=found.machine, theta=found.theta, covariance=covariance
+    )
+    uncertainty = with_uncertainty(fitted, interpolated()).uncertainty
+    assert uncertainty is not None
+    deviations = np.array([uncertainty.std(name) for name in ("x.mass", "phi.mass")], float)
+    assert np.all(np.abs(masses - exact) < 3.0 * deviations)
+    assert np.all(deviations < 0.05 * exact)
 
 
 def test_a_log_with_held_voltages_or_few_rows_is_not_fitted_by_instruments() -> None:

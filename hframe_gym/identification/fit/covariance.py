@@ -77,6 +77,7 @@ def with_uncertainty(fitted: Fit, data: Dataset) -> Machine:
     Derivatives are central differences along the principal axes of the Fisher information: along single parameters,
     rounding would make viscous friction and back-EMF seem separable. A threshold (`FreeParameter.switch`) has no
     derivative. It is raised and lowered until the cost clearly rises; its standard deviation is at least this change.
+    A fit by instruments brings its covariance along.
 
     Args:
         fitted: Fit of k parameters: machine, parameter values and cost.
@@ -92,6 +93,8 @@ def with_uncertainty(fitted: Fit, data: Dataset) -> Machine:
     """
     if not fitted.free:
         return fitted.machine
+    if fitted.covariance is not None:
+        return _with_covariance(fitted, fitted.covariance)
     data = data.with_observers(fitted.observers)
     directions = _directions(fitted, data, prior_precision(fitted.free))  # (k, k), one per column
     starts = uncertain_starts(fitted.machine, data.runs)
@@ -125,8 +128,13 @@ def with_uncertainty(fitted: Fit, data: Dataset) -> Machine:
     delay_variance = _DELAY_STD**2 + _estimated_delay(parts, inverse) ** 2
     covariance += delay_variance * np.outer(of_delay, of_delay)
     covariance += np.diag(np.where([f.switch for f in fitted.free], np.diag(directions), 0.0) ** 2)
+    return _with_covariance(fitted, covariance)
+
+
+def _with_covariance(fitted: Fit, covariance: Array) -> Machine:
+    """Return the fitted machine with the covariance of theta, shape (k, k), in units of the parameters' values."""
     slopes = np.array([f.slope(t) for f, t in zip(fitted.free, fitted.theta, strict=True)])
-    covariance *= np.outer(slopes, slopes)  # from theta to the parameters' values
+    covariance = covariance * np.outer(slopes, slopes)
     uncertainty = Uncertainty(tuple(f.name for f in fitted.free), (covariance + covariance.T) / 2)
     return fitted.machine.replace(uncertainty=uncertainty)
 

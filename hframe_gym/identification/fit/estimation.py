@@ -58,6 +58,7 @@ class Fit:
         longest_step: Maximum integration step of the fitted predictions, s.
         floor: Chi-squared per sample of an exact machine with this observer, dimensionless (`innovation_variance`).
         observers: Observers of the runs in the fit, by their name, if each run had another one; otherwise empty.
+        covariance: Covariance of theta, shape (k, k), of a fit by instruments (`slow_logs`); None: of least squares.
     """
 
     machine: Machine
@@ -70,6 +71,7 @@ class Fit:
     longest_step: float = SEARCH_STEP
     floor: float = 1.0
     observers: Mapping[str, RunObserver] = field(default_factory=dict, repr=False)
+    covariance: Array | None = field(default=None, repr=False)
 
     @property
     def chi2(self) -> float:

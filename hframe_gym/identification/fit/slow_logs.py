@@ -45,8 +45,15 @@ from ..budget import spend
 from ..judge.observer import simulates_better
 from ..predict.free_parameters import bounded_step, prior_precision
 from ..predict.linearization import ResidualModel
-from ..predict.prediction import POLISH_STEP, SEARCH_BANDWIDTH, SIMULATION, innovation_variance, map_runs
-from .covariance import principal_directions
+from ..predict.prediction import (
+    POLISH_STEP,
+    SEARCH_BANDWIDTH,
+    SIMULATION,
+    block_size,
+    innovation_variance,
+    map_runs,
+)
+from .covariance import BLOCK_S, principal_directions
 from .estimation import Fit, prediction_cost, prediction_costs
 from .model_error import search_step
 
@@ -96,6 +103,38 @@ class _Linear(NamedTuple):
     instruments: Array
 
 
+class _Equations(NamedTuple):
+    """Normal equations of that part of the white residual that instruments represent, for k parameters.
+
+    Attributes:
+        information: Shape (k, k).
+        scores: Gradient of each block of 0.5 s, in which the residual may be correlated, shape (blocks, k).
+    """
+
+    information: Array
+    scores: Array
+
+    @property
+    def gradient(self) -> Array:
+        """Sum of the scores, shape (k,)."""
+        return np.asarray(self.scores.sum(axis=0))
+
+    def covariance(self, prior: Array) -> Array:
+        """Return the covariance of theta by the sandwich estimator, shape (k, k), at least that of a white residual."""
+        white = np.linalg.inv(self.information + prior)
+        sandwich = white @ (self.scores.T @ self.scores + prior) @ white
+        inflation = np.sqrt(np.maximum(np.diag(white) / np.diag(sandwich), 1.0))
+        return np.asarray(sandwich * np.outer(inflation, inflation))
+
+
+class _Estimate(NamedTuple):
+    """Fit by instruments: k parameters theta, the machine, and the equations at these parameters."""
+
+    theta: Array
+    machine: Machine
+    equations: _Equations
+
+
 class ExcessDelay(NamedTuple):
     """By how much later the voltages act than their assumed changes between the rows say.
 
@@ -134,6 +173,11 @@ class _Models(NamedTuple):
     def sensors(self) -> int:
         """Number of sensors."""
         return len(self.measured.machine.sensors)
+
+    @property
+    def rows_per_block(self) -> int:
+        """Rows between which the residual may be correlated."""
+        return block_size(BLOCK_S, self.measured.machine, self.measured.data) // self.sensors
 
     @property
     def all_rows(self) -> list[NDArray[np.bool_]]:
@@ -188,13 +232,13 @@ def fit_slow_log(fitted: Fit, data: Dataset) -> Fit:
     by_instruments = _by_instruments(fitted, data.without_voltage_errors())
     if by_instruments is None:
         return fitted
-    theta, machine, information = by_instruments
     before, after = (
-        prediction_costs(m, data, SIMULATION, longest_step=POLISH_STEP) for m in (fitted.machine, machine)
+        prediction_costs(m, data, SIMULATION, longest_step=POLISH_STEP)
+        for m in (fitted.machine, by_instruments.machine)
     )
     if not simulates_better(before, after):
         return fitted
-    return _finished(fitted, machine, theta, information, data)
+    return _finished(fitted, by_instruments, data)
 
 
 def excess_delay(fitted: Fit, data: Dataset) -> ExcessDelay | None:
@@ -214,7 +258,7 @@ def excess_delay(fitted: Fit, data: Dataset) -> ExcessDelay | None:
     by_instruments = _by_instruments(fitted, data) if _are_enough(data) else None
     if by_instruments is None:
         return None
-    theta = by_instruments[0]
+    theta = by_instruments.theta
     models = _Models.of(fitted, data)
     linear = [
         _Linear(
@@ -228,9 +272,9 @@ def excess_delay(fitted: Fit, data: Dataset) -> ExcessDelay | None:
     ]
     whitening, used = _whitening([of_run.residual for of_run in linear], models.all_rows, models.sensors)
     prior = block_diag(prior_precision(fitted.free), 1.0)  # of the delay: one sampling period
-    information, gradient = _normal_equations(linear, whitening, used, prior)
-    covariance = np.linalg.inv(information + prior)
-    step = -covariance @ (gradient + prior @ np.append(theta, 0.0))
+    equations = _normal_equations(linear, whitening, used, prior, models.rows_per_block)
+    covariance = np.linalg.inv(equations.information + prior)
+    step = -covariance @ (equations.gradient + prior @ np.append(theta, 0.0))
     return ExcessDelay(float(step[-1]), math.sqrt(covariance[-1, -1]))
 
 
@@ -250,8 +294,8 @@ def _delay_derivatives(model: ResidualModel, theta: Array) -> list[Array]:
     ]
 
 
-def _by_instruments(fitted: Fit, data: Dataset) -> tuple[Array, Machine, Array] | None:
-    """Return theta, the machine and the information of a fit by instruments; None if it does not converge."""
+def _by_instruments(fitted: Fit, data: Dataset) -> _Estimate | None:
+    """Fit a machine by instruments; None if the steps do not converge."""
     models, theta, prior = _Models.of(fitted, data), fitted.theta, prior_precision(fitted.free)
     used = models.all_rows
     for _ in range(_ROUNDS):
@@ -260,13 +304,13 @@ def _by_instruments(fitted: Fit, data: Dataset) -> tuple[Array, Machine, Array] 
         if not all(np.isfinite(part).all() for of_run in linear for part in of_run):
             return None
         whitening, used = _whitening([of_run.residual for of_run in linear], used, models.sensors)
-        information, gradient = _normal_equations(linear, whitening, used, prior)
-        slope = gradient + prior @ theta
-        step = bounded_step(fitted.free, theta, information + prior, slope)
+        equations = _normal_equations(linear, whitening, used, prior, models.rows_per_block)
+        slope = equations.gradient + prior @ theta
+        step = bounded_step(fitted.free, theta, equations.information + prior, slope)
         step *= min(1.0, _LONGEST_STEP / max(float(np.abs(step).max()), 1e-300))
         theta = theta + step
         if -float(slope @ step) < _CONVERGED:
-            return theta, models.measured.machine_at(theta), information
+            return _Estimate(theta, models.measured.machine_at(theta), equations)
     return None
 
 
@@ -277,9 +321,9 @@ def _are_enough(data: Dataset) -> bool:
     return min(rows) > 2 * _ORDER and sum(rows) > _ROWS_PER_COEFFICIENT * _ORDER * sensors
 
 
-def _finished(fitted: Fit, machine: Machine, theta: Array, information: Array, data: Dataset) -> Fit:
+def _finished(fitted: Fit, estimate: _Estimate, data: Dataset) -> Fit:
     """Return the fit with other parameters, and its cost with the observer that it had."""
-    data = data.with_observers(fitted.observers)
+    data, machine = data.with_observers(fitted.observers), estimate.machine
     cost = prediction_cost(machine, data, fitted.bandwidth, longest_step=fitted.longest_step)
     floor = innovation_variance(machine, data, fitted.bandwidth)[0]
     if not math.isfinite(cost):
@@ -287,11 +331,12 @@ def _finished(fitted: Fit, machine: Machine, theta: Array, information: Array, d
     return dataclasses.replace(
         fitted,
         machine=machine,
-        theta=theta,
+        theta=estimate.theta,
         cost=cost,
         count=data.count,
         floor=floor,
-        information=information,
+        information=estimate.equations.information,
+        covariance=estimate.equations.covariance(prior_precision(fitted.free)),
     )
 
 
@@ -335,16 +380,23 @@ def _whitening(
 
 
 def _normal_equations(
-    linear: Sequence[_Linear], whitening: _Whitening, used: Sequence[NDArray[np.bool_]], prior: Array
-) -> tuple[Array, Array]:
-    """Return information, shape (k, k), and gradient, (k,), of the white residual's part that instruments represent."""
+    linear: Sequence[_Linear],
+    whitening: _Whitening,
+    used: Sequence[NDArray[np.bool_]],
+    prior: Array,
+    rows_per_block: int,
+) -> _Equations:
+    """Return the normal equations of the white residual's part that instruments represent, for k parameters."""
     k = len(prior)
-    products = np.zeros((k, 2 * k + 1))
+    products, blocks = np.zeros((k, 2 * k)), []
     for of_run, kept in zip(linear, used, strict=True):
         parts = np.vstack([of_run.instruments, of_run.jacobian, of_run.residual])
-        white = whitening(parts)[:, kept].reshape(len(parts), -1)
-        products += white[:k] @ white.T
+        white = whitening(parts) * kept[:, None]
+        by_row = np.einsum("kns,ns->nk", white[:k], white[-1])
+        blocks.append(np.add.reduceat(by_row, np.arange(0, len(by_row), rows_per_block), axis=0))
+        flat = white.reshape(len(white), -1)
+        products += flat[:k] @ flat[:-1].T
     # A small part of the prior keeps combinations without instruments determined; it moves no parameter.
-    own, of_jacobian, of_residual = products[:, :k], products[:, k:-1], products[:, -1]
+    own, of_jacobian = products[:, :k], products[:, k:]
     projected_rows = of_jacobian.T @ np.linalg.inv(own + 0.01 * prior)
-    return np.asarray(projected_rows @ of_jacobian), np.asarray(projected_rows @ of_residual)
+    return _Equations(projected_rows @ of_jacobian, np.concatenate(blocks) @ projected_rows.T)

@@ -33,6 +33,10 @@ _CLEARLY_BETTER = (
 _MAX_NOISE_RATIO = (
     50.0  # Simulation error over noise beyond which the simulation drifted, if a force error exists.
 )
+_BY_INSTRUMENTS = (
+    "The parameters and their standard deviations come from a fit by instruments (smoothed voltages and measurements), "
+    "which simulates the fitted runs better than a fit to the residual that the voltages' statistics make white."
+)
 _CHANGED_STDS = 3.0  # Standard deviations beyond which a parameter differs from its declared value.
 _NAMED_CHANGES = 3  # Parameters that are named, those first that changed most.
 
@@ -270,11 +274,13 @@ def unknown_voltages(report: Mapping[str, Any]) -> list[str]:
         factor, unit = readable_unit(channel, error)
         sizes.append(f"{number(factor * error)} {unit} at {channel}")
     period = f"{1e3 * unknown['period_s']:.3g} ms"
+    by_instruments = unknown.get("fitted_by") == "instruments"
     return [
         f"The controller changes the voltages about {unknown['changes_per_row']} times between two rows of this log "
         f"(every {period}), and the log does not contain these voltages.",
         f"A simulation of the held-out runs therefore errs by {' and '.join(sizes)} (rms), whatever the machine: what "
         "changes the motion by less cannot be found.",
+        *([_BY_INSTRUMENTS] if by_instruments else []),
         f"To find more, log every row of the controller (every {period}), or describe the drives by their set point "
         "and log that.",
     ]

@@ -11,6 +11,7 @@ from ..budget import Budget
 from ..evidence.held_out import error_reduction, held_out_gain, is_excited
 from ..evidence.tried_effects import ConsideredEffect, SelectedEffect
 from ..fit.channel_errors import white_sensors
+from ..fit.estimation import Fit
 from ..fit.force_sizes import drive_force, effect_force
 from ..fit.missing_force import Dependence
 from ..judge.verdict import final_verdict
@@ -78,18 +79,20 @@ def build_result(
         reason=evaluated.reason,
         unfinished=unfinished,
         plain=delivered.plain,
-        unknown_voltages=_unknown_voltages(corrected, validation),
+        unknown_voltages=_unknown_voltages(corrected, validation, after),
     )
     return dataclasses.replace(result, hint=_hint(result))
 
 
-def _unknown_voltages(machine: Machine, held_out: Dataset) -> UnknownVoltages | None:
-    """Return what the log does not say of the voltages."""
+def _unknown_voltages(machine: Machine, held_out: Dataset, fitted: Fit) -> UnknownVoltages | None:
+    """Return what the log does not say of the voltages, and which fit is delivered."""
     if not held_out.has_voltage_errors:
         return None
     errors = simulation_error(machine, held_out)
     by_channel = {s.channel: float(e) for s, e in zip(machine.sensors, errors, strict=True)}
-    return UnknownVoltages(held_out.updates, held_out.period / held_out.updates, by_channel)
+    return UnknownVoltages(
+        held_out.updates, held_out.period / held_out.updates, by_channel, fitted.covariance is not None
+    )
 
 
 def _hint(result: IdentificationResult) -> Hint | None:

@@ -140,15 +140,23 @@ class UnknownVoltages:
         period: Time from one change to the next, s.
         errors: Root mean square error of a simulation of the held-out runs that this alone causes, by channel, in the
             channel's unit.
+        by_instruments: Whether instruments gave the parameters of the delivered machine (`fit.slow_logs`); otherwise
+            the residual that the statistics of the voltages make white.
     """
 
     per_row: int
     period: float
     errors: Mapping[str, float]
+    by_instruments: bool
 
     def as_json(self) -> dict[str, Any]:
         """Return the entry of report.json."""
-        return {"changes_per_row": self.per_row, "period_s": self.period, "errors": dict(self.errors)}
+        return {
+            "changes_per_row": self.per_row,
+            "period_s": self.period,
+            "errors": dict(self.errors),
+            "fitted_by": "instruments" if self.by_instruments else "white residual",
+        }
 
 
 @dataclass(frozen=True)
