@@ -59,7 +59,7 @@ _LARGEST_RESPONSE = 1e9  # noise per volt
 # friction holds the machine); a factor of the whole covariance has 29 MB per 1500 rows at 15 rad/s. The memory for each
 # observer, 4 bytes * (8 + 16) * sensors^2 a row, permits long sessions: 0.5 GB for 300,000 rows of four sensors.
 _BLOCK, _BEFORE = 8, 16
-_BLOCKS_TOGETHER = 512  # blocks that are whitened in one product; limits the memory of copies
+_BLOCKS_TOGETHER = 128  # blocks that are whitened in one product; limits the memory of copies
 _DRAWS = 8  # of voltage errors, for their effect on simulations: their rms is 15 % accurate in a run
 
 
@@ -191,15 +191,20 @@ class _Whitening(NamedTuple):
     def __call__(self, residual: Array) -> Array:
         """Return white residuals of a batch of predictions, shape (batch, n * sensors), like the given ones."""
         blocks, of_block, window = self.factors.shape
-        padded = np.zeros((blocks * of_block + window - of_block, len(residual)))
         before = window - of_block
+        padded = np.zeros((blocks * of_block + before, len(residual)))
         padded[before : before + residual.shape[1]] = residual.T
         windows = sliding_window_view(padded, window, axis=0)[::of_block]  # (blocks, batch, window)
-        white = np.empty((blocks, of_block, len(residual)))
+        white = np.empty_like(residual)
         for first in range(0, blocks, _BLOCKS_TOGETHER):
             part = slice(first, first + _BLOCKS_TOGETHER)
-            np.matmul(self.factors[part].astype(float), windows[part].swapaxes(1, 2), out=white[part])
-        return white.reshape(blocks * of_block, len(residual))[: residual.shape[1]].T
+            values = (self.factors[part].astype(float) @ windows[part].swapaxes(1, 2)).reshape(
+                -1, len(residual)
+            )
+            begin = first * of_block
+            end = min(begin + len(values), residual.shape[1])
+            white[:, begin:end] = values[: end - begin].T
+        return white
 
 
 def _dense(rows: sparse.csr_array) -> Array:
@@ -224,6 +229,8 @@ class InterpolationErrors(VoltageErrors):
     @override
     def whiten(self, residual: Array, bandwidth: float) -> Array:
         finite = np.isfinite(residual).all(axis=1)
+        if finite.all():
+            return self._at(bandwidth)(residual)  # without copies
         white = np.full_like(residual, np.nan)
         white[finite] = self._at(bandwidth)(residual[finite])
         return white
