@@ -25,7 +25,14 @@ from ..arrays import (
 )
 from ..dynamics import Equations, ForceBalance, MotionPoint, linearize, matrix_exponential
 from ..errors import InputError
-from ..machine import AppliedEffect, Machine, argument_names, observed_coordinates, rest_positions_per_axis
+from ..machine import (
+    AppliedEffect,
+    Machine,
+    argument_names,
+    observed_coordinates,
+    rest_positions_per_axis,
+    rigid_counterpart,
+)
 
 GRID = (9, 7)  # operating points along x and y; the stiffness is within 5 % of that of the nearest point
 # m/s: the direction of compensated friction is tanh(v / FRICTION_COMPENSATION_SPEED). Far below the speeds of a move,
@@ -77,7 +84,8 @@ class MotionModel:
     """Model for the design of controllers: a machine with n coordinates and one drive per axis, in belt travel.
 
     Args:
-        machine: Machine with the coordinates of its tool (x and y, or one axis) and those of as many drives.
+        machine: Machine with the coordinates of its tool (x and y, or one axis) and those of as many drives. What
+            effects add beside them does not move in the model (`rigid_counterpart`).
 
     Attributes:
         axes: Names of the tool's coordinates, ("x", "y") or one name.
@@ -99,6 +107,7 @@ class MotionModel:
     """
 
     def __init__(self, machine: Machine) -> None:
+        machine = rigid_counterpart(machine)
         names = machine.coordinate_names
         following = [d.name for d in machine.drives if d.law]
         if following:

@@ -26,7 +26,7 @@ import numpy as np
 from ..arrays import Array, Mask, TravelStates, Volts
 from ..dynamics import simulate_batch
 from ..errors import InputError
-from ..machine import Machine
+from ..machine import Machine, rigid_counterpart
 from .base import SIMULATION_STEP_S, EpisodeStarts, check_period
 from .estimation_model import AugmentedParameters, MeasurementModel
 from .input_compensation import DeadTime
@@ -70,6 +70,7 @@ class StateEstimator:
     """
 
     def __init__(self, machine: Machine, period: float, parameter_covariance: Array | None = None) -> None:
+        machine = rigid_counterpart(machine)
         self.model = model = MotionModel(machine)
         self.period = check_period(period)
         self.measurements = MeasurementModel(model)

@@ -56,6 +56,12 @@ def structure(machine: Machine, effect: AppliedEffect) -> Machine:
     return dataclasses.replace(machine, coordinates=(*kept, load), ties={**machine.ties, **ties})
 
 
+def rigid(machine: Machine, effect: AppliedEffect) -> Machine:
+    """Return the mass of the load to the carriage."""
+    carriage = machine.coordinate(effect.site)
+    return machine.replace({f"{carriage.name}.mass": carriage.mass * (1.0 + effect.parameters["r"])})
+
+
 EFFECT = Effect(
     name="payload_swing",
     family="payload_swing",
@@ -67,6 +73,7 @@ EFFECT = Effect(
     initial_spread=initial_spread,
     coordinate="payload_{site}",
     structure=structure,
+    rigid=rigid,
     fits_site=fits_site,
     parameters=(
         EffectParameter(

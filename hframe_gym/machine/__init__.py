@@ -42,6 +42,7 @@ from .motion import (
     pulley_names,
     rest_positions_per_axis,
     rest_state,
+    rigid_counterpart,
     rigid_motions,
 )
 from .presets import BUILTIN_MACHINES, with_constant_stiffness
@@ -119,6 +120,7 @@ __all__ = [
     "pulley_names",
     "rest_positions_per_axis",
     "rest_state",
+    "rigid_counterpart",
     "rigid_motions",
     "stage_geometry",
     "summary",

@@ -187,6 +187,8 @@ class Effect:
         shared: Whether a search also tries an effect of the kind "drive" on all drives at once.
         refitted: Whether other parameter values of the machine have the same influence; a search then omits the effect.
         against: Variable `u` of a tabulated effect: "position of y", "velocity of y", "path of y" or "time".
+        rigid: Function (machine without the added coordinate, applied effect) -> machine that returns to the site what
+            `structure` took from it, for controllers (`rigid_counterpart`). Default: nothing.
         coordinate: Name of the coordinate that `structure` adds, on which `force` acts, with "{site}" for that of the
             component; empty if none.
         belt: Name of the belt section that `structure` adds, on which alone `tension` acts; "{site}" stands for the
@@ -233,6 +235,7 @@ class Effect:
     next_state: Hook | None = None
     initial_spread: Hook | None = None
     structure: Callable[..., Any] | None = None
+    rigid: Callable[..., Any] | None = None
     fits: Callable[..., bool] | None = None
     fits_site: Callable[..., bool] | None = None
     equivalent: tuple[str, ...] = ()

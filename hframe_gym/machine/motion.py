@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import dataclasses
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arrays import Array
+from .components import Uncertainty
 from .machine import Machine
 
 # m per unit of the leading coordinate; a motion that extends a belt by more is not rigid.
@@ -27,6 +29,50 @@ def pulley_names(machine: Machine) -> tuple[str, ...]:
     """List the pulleys of a machine: its rotary coordinates, except those that a spring holds, such as bridge yaw."""
     return tuple(
         c.name for c in machine.coordinates if c.kind == "rotary" and c.name not in machine.spring_loaded
+    )
+
+
+def rigid_counterpart(machine: Machine) -> Machine:
+    """Return the machine for which controllers are designed: coordinates that effects add stay at zero.
+
+    A bridge does not yaw, a payload does not swing, the frame that carries a sensor rests. Nobody measures these
+    coordinates, and they are far stiffer or faster than what a controller corrects. The effects that add them are left
+    out with their parameters; a machine without such effects is returned as it is. Coordinates that are not held by a
+    spring, such as idlers or the pulley behind a gear's gap, remain.
+    """
+    left_out = tuple(e for e in machine.effects if e.coordinate)
+    if not left_out:
+        return machine
+    names, labels = {e.coordinate for e in left_out}, {e.label for e in left_out}
+
+    def kept(row: Mapping[str, float]) -> dict[str, float]:
+        return {key: factor for key, factor in row.items() if names.isdisjoint(key.split("*"))}
+
+    rigid = dataclasses.replace(
+        machine,
+        coordinates=tuple(c for c in machine.coordinates if c.name not in names),
+        belts=tuple(
+            dataclasses.replace(b, extension=kept(b.extension), length=kept(b.length)) for b in machine.belts
+        ),
+        sensors=tuple(dataclasses.replace(s, row=kept(s.row)) for s in machine.sensors),
+        effects=tuple(e for e in machine.effects if not e.coordinate),
+        ties={key: tie for key, tie in machine.ties.items() if key.partition(".")[0] not in names},
+        uncertainty=_without(machine.uncertainty, labels),
+    )
+    for effect in left_out:
+        if effect.definition.rigid:
+            rigid = effect.definition.rigid(rigid, effect)
+    return rigid
+
+
+def _without(uncertainty: Uncertainty | None, labels: Collection[str]) -> Uncertainty | None:
+    """Return the covariance of the parameters that do not belong to the effects with these labels."""
+    if uncertainty is None:
+        return None
+    names = uncertainty.names
+    remaining = [i for i, name in enumerate(names) if name.rpartition(".")[0] not in labels]
+    return Uncertainty(
+        tuple(names[i] for i in remaining), uncertainty.covariance[np.ix_(remaining, remaining)]
     )
 
 

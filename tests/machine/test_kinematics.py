@@ -7,13 +7,16 @@ import dataclasses
 import numpy as np
 import pytest
 
+from hframe_gym.controllers import MotionModel
 from hframe_gym.effects import EFFECTS
 from hframe_gym.machine import (
     BUILTIN_MACHINES,
     Belt,
     Machine,
+    Uncertainty,
     rest_positions_per_axis,
     rest_state,
+    rigid_counterpart,
     rigid_motions,
 )
 
@@ -81,3 +84,24 @@ def test_a_spring_loaded_coordinate_has_no_part_in_rigid_motions(hframe: Machine
     assert list(motions) == ["x", "y"]
     for name, motion in rigid_motions(hframe).items():
         np.testing.assert_allclose(motions[name], [*motion, 0.0], rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("name", "site", "values"),
+    [
+        ("bridge_yaw", "machine", {"J": 0.1, "k": 2e3, "c": 1.0, "w": 0.25}),
+        ("frame_resonance", "x", {"f0": 20.0, "zeta": 0.03, "r": 0.1, "s": 0.0}),
+        ("payload_swing", "y", {"f0": 2.0, "zeta": 0.05, "r": 0.3}),
+    ],
+)
+def test_controllers_know_the_machine_whose_added_parts_do_not_move(hframe, name, site, values):
+    uncertainty = Uncertainty(("x.mass", f"{name}@{site}.{min(values)}"), np.diag([1e-4, 2e-4]))
+    machine = hframe.with_effects(EFFECTS["bouc_wen_hysteresis"].at("x", F=1.0, L=1e-3))
+    flexible = machine.with_effects(EFFECTS[name].at(site, **values))
+    rigid = rigid_counterpart(dataclasses.replace(flexible, uncertainty=uncertainty))
+    assert rigid.uncertainty.names == ("x.mass",)
+    assert rigid.uncertainty.covariance == pytest.approx(np.array([[1e-4]]))
+    assert rigid.parameters == pytest.approx(machine.parameters)
+    assert dataclasses.replace(rigid, uncertainty=None).shape == machine.shape
+    np.testing.assert_allclose(MotionModel(flexible).mass, MotionModel(machine).mass)
+    assert rigid_counterpart(machine) is machine
