@@ -77,7 +77,7 @@ def _detection(detection: dict[str, Any], path: Path) -> None:
     axes.set_xscale("log")
     axes.set_yticks(range(len(detection)), list(detection), fontsize=7)
     axes.invert_yaxis()
-    axes.set_xlabel("size, % of the full one (green: identified, red: not; bar: half are identified)")
+    axes.set_xlabel("size, % of the full one\n(green: identified, red: not; bar: half are identified)")
     save_figure(figure, path)
 
 

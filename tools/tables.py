@@ -42,7 +42,7 @@ PAGES = (
     "docs/trust.md",
 )
 STAGES = ("declared", "before", "after")
-RANDOM_RIGS = "random_rigs_20270115"  # that is: of this seed, which was run once, for the published results
+RANDOM_RIGS = "random_rigs_20270501"  # that is: of this seed, which was run once, for the published results
 RANDOM_RIGS_CLOSED = "random_rigs_closed_20270126"
 
 
