@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..dynamics import NotFiniteError
 from ..errors import InputError
 from ..identification import simulate_recording
@@ -27,7 +28,6 @@ from ..recordings import (
     open_logs,
 )
 
-Array = NDArray[np.float64]
 POINTS = 1600  # of a curve: two for each of 800 pixels
 _FILES_KEPT = 4  # logs whose values stay in memory
 _RUNS_KEPT, _SIZES_KEPT = 16, 4096

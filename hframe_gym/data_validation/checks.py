@@ -6,7 +6,6 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..identification import Dataset, prepare
 from ..machine import Machine
@@ -36,8 +35,6 @@ from .sampling import (
 from .scales import check_scales
 from .stuck_outputs import NOISE_SPAN, stuck_outputs
 from .wiring import check_wiring
-
-Array = NDArray[np.float64]
 
 _MIN_REST = 0.05  # s; a shorter rest hardly determines the initial state and the sensors' zeros
 _REST_TOLERANCE = 1e-6  # s; times in a file are rounded

@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..dynamics import mode_frequencies
 from ..identification import Dataset
 from ..machine import Machine, rigid_motions
 from ..recordings import Recording, bridge_blanks, comparison_window
 from .findings import Finding, channel_unit
 from .wiring import sensor_motions
-
-Array = NDArray[np.float64]
 
 _OVERVOLTAGE = 1.2  # times the rated voltage, above which the column's unit is doubted
 _NARROW_TRAVEL = (

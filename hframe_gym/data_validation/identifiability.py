@@ -11,16 +11,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..identification import Dataset, FreeParameter, PreparedRecording, default_free_parameters
 from ..identification.predict.linearization import ResidualModel
 from ..identification.predict.normal_equations import NormalEquations
 from ..identification.predict.prediction import SIMULATION, map_runs
 from ..machine import Machine
 from .findings import Finding, Severity
-
-Array = NDArray[np.float64]
 
 _MAX_ROWS = 20_000  # rows of a run that are simulated, to limit the time; more would lower the bounds
 _LARGE_STD = 0.1  # relative standard deviation above which a parameter is reported as poorly identifiable

@@ -17,6 +17,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy import special
 
+from ..arrays import Array
 from ..identification import (
     MIN_ROWS,
     Dataset,
@@ -31,8 +32,6 @@ from ..machine import Machine
 from ..preparation.belt_stretch import rigid_basis
 from ..recordings import GAP_PERIODS, Recording, repetitions
 from .findings import Finding, Severity
-
-Array = NDArray[np.float64]
 
 _LONG_PERIOD = 0.2  # s; slower samples cannot record the motion of a machine
 _LONG_RUN = 120.0  # s

@@ -13,6 +13,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..dynamics import resolved_step, rollout
 from ..identification import Dataset, PreparedRecording
 from ..machine import Machine, Sensor, commanded_state
@@ -20,8 +21,6 @@ from ..preparation.force_balance import EXPLAINED, Balance
 from ..recordings import bridge_blanks, comparison_window
 from .findings import Finding, channel_unit
 from .wiring import declared_balance, rigid_prediction
-
-Array = NDArray[np.float64]
 
 _WINDOW = 0.02  # s, least time over which motion is compared; long enough to average out noise
 _MAX_ROWS = 20_000  # rows of a run that are simulated; enough to determine a factor

@@ -7,14 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..dynamics import stiffness_matrix
 from ..machine import Machine
 from ..preparation.initial_rest import count_resting_rows
 from ..recordings import Recording, bridge_blanks, peak_to_peak
 from .findings import Finding, Severity
 from .wiring import rigid_misfit, rigid_prediction
-
-Array = NDArray[np.float64]
 
 _STUCK_AFTER = 0.1  # s; a channel that is constant for a shorter time is not stuck
 _LONGEST_BLANK = 0.02  # s; longer times between two measurements are not bridged

@@ -13,16 +13,14 @@ from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..identification import Dataset, PreparedRecording
 from ..machine import Machine, rigid_motions
 from ..preparation.force_balance import EXPLAINED, SPANS, Balance, explains_instead, force_balance
 from ..preparation.motion_windows import motion_windows
 from ..recordings import comparison_window
 from .findings import Finding
-
-Array = NDArray[np.float64]
 
 # Fractions of the squared force of the drives, or of the squared motion, as `EXPLAINED`.
 _UNEXPLAINED = 0.5  # more is unexplained by inputs or a machine of another recording

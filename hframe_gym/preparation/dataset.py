@@ -15,13 +15,13 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..machine import Machine
 from .encoder_zeros import EncoderZeros
 from .initial_state import model_initial_states
 from .rest_measurement import InitialState
 from .voltage_updates import Interpolation
 
-Array = NDArray[np.float64]
 MIN_ROWS = 20  # rows of a run that the filters of the residual need
 
 

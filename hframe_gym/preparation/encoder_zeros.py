@@ -13,10 +13,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..machine import Machine
 from .belt_stretch import max_held_angle
 
-Array = NDArray[np.float64]
 MAX_SCATTER = 4.0  # Standard deviations of the scatter from run to run within which an encoder kept its zero.
 
 

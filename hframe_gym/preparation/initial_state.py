@@ -15,13 +15,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..machine import Machine, rest_state
 from ..recordings import Recording
 from .belt_stretch import linear_coordinates, rigid_basis, static_equilibrium
 from .encoder_zeros import EncoderZeros, zero_tolerance
 from .rest_measurement import InitialState, estimate_initial_state
 
-Array = NDArray[np.float64]
 _INVERSION_STEPS = 4  # Each leaves a few hundredths of the error.
 _INVERSION_TOLERANCE = 1e-6  # m
 _ENCODER_WEIGHT = 1e-3  # of encoders beside lasers, which determine the position where they can

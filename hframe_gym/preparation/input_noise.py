@@ -10,12 +10,10 @@ import dataclasses
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..machine import Machine
 from ..recordings import Recording
-
-Array = NDArray[np.float64]
 
 # Fraction of an input's root mean square. Current sensors of amplifiers have 0.1 to 2 %; a recorded motor whose current
 # had 20 % was simulated eight times as well with a current that was smoothed.

@@ -8,12 +8,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..machine import Machine, rigid_motions
 from ..recordings import bridge_blanks
 from .belt_stretch import rigid_basis
 from .dataset import PreparedRecording
 
-Array = NDArray[np.float64]
 _OVERLAP = 2  # grid points of the balance per window
 _RESTING = 0.02  # fraction of the largest speed; below, static friction may have any value
 _ROWS_PER_COEFFICIENT = 5  # rows that a regression needs

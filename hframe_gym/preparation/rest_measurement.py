@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..dynamics import simulate_batch
 from ..dynamics.physics.effect_instances import instances_with_state
 from ..machine import Machine, Sensor
@@ -24,7 +25,6 @@ from .belt_stretch import rigid_basis, vibration_speeds
 from .encoder_zeros import EncoderZeros
 from .initial_rest import count_resting_rows, measurement_noise
 
-Array = NDArray[np.float64]
 # Weights of encoders that matter only where no laser measures: behind stretched belts, and with an unknown zero.
 _STRETCHED_WEIGHT, _FALLBACK_WEIGHT = 1e-3, 1e-6
 _STRETCH_RESIDUAL = 1.0 / 3.0  # of the belts' stretch under the drives' force, which a linear model leaves

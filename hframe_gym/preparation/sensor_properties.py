@@ -7,16 +7,15 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import savgol_coeffs, savgol_filter
 
+from ..arrays import Array
 from ..effects import EFFECTS
 from ..effects.sensor_range import UNLIMITED
 from ..machine import AppliedEffect, Machine
 from ..recordings import Recording, quantum_of
 from .criteria import SaturationCriteria
 
-Array = NDArray[np.float64]
 Range = tuple[float, float]
 
 _CURVE_ROWS = 21  # Measurements of a curve; in slow motion, they extend over several quanta.

@@ -12,10 +12,10 @@ from functools import partial
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import Akima1DInterpolator, CubicSpline, make_interp_spline
 
-Array = NDArray[np.float64]
+from ..arrays import Array
+
 # "straight" reduces what is fast, "spline" overshoots where voltages jump; the truth lies between them.
 Interpolation = Literal["akima", "straight", "spline"]
 _INTERPOLATORS = {

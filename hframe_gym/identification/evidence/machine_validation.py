@@ -11,13 +11,11 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...arrays import Array
 from ...dynamics import simulate_batch
 from ...machine import Belt, Machine, rest_state
 from ..judge.effect import MachineBehavior, fault_of_machine
-
-Array = NDArray[np.float64]
 
 _HISTORIES, _SECONDS, _PERIOD = 4, 2.0, 1e-3  # s
 _MEAN_HOLD = (

@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ...arrays import Array
 from ...machine import HOOKS, AppliedEffect, Machine, argument_names
 from ...preparation.dataset import Dataset
 from ..fit.covariance import BLOCK_S
@@ -33,8 +34,6 @@ from ..predict.linearization import ResidualModel, RunLinearization
 from ..predict.prediction import block_size, map_runs
 from ..propose.candidates import covered_by_runs
 from .machine_validation import validation_fault
-
-Array = NDArray[np.float64]
 
 # Variable of a coordinate, drive or belt by the name of an argument of an effect's formulas (`Effect`).
 _VARIABLES = {

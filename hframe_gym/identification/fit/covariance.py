@@ -10,9 +10,9 @@ import dataclasses
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtri, stdtrit
 
+from ...arrays import Array
 from ...dynamics.simulation import Motion
 from ...machine import Machine, Uncertainty
 from ...preparation.dataset import Dataset, PreparedRecording
@@ -26,8 +26,6 @@ from ..predict.start_uncertainty import (
     uncertain_starts,
 )
 from .estimation import SWITCH_CHANGES, Fit, with_changed_switch
-
-Array = NDArray[np.float64]
 
 BLOCK_S = 0.5  # s; longer than the correlation of the residual, vibrations included
 _MAX_LEVERAGE = 0.99  # Largest fraction of the information in one block for which its residual is corrected.

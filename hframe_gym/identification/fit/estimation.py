@@ -16,8 +16,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...arrays import Array
 from ...machine import Machine
 from ...preparation.dataset import Dataset, PreparedRecording, RunObserver
 from ..budget import spend
@@ -27,8 +27,6 @@ from ..predict.linearization import DIFFERENCE_STEP, Linearization, ResidualMode
 from ..predict.normal_equations import NormalEquations
 from ..predict.prediction import SEARCH_BANDWIDTH, SEARCH_STEP, innovation_variance, map_runs
 from ..predict.start_uncertainty import prediction_residuals, uncertain_starts
-
-Array = NDArray[np.float64]
 
 # Relative to the diagonal of the Hessian. The step without damping (Gauss-Newton) lets combinations of parameters that
 # only the prior determines converge: damping holds them back, because the data determine each parameter by itself.

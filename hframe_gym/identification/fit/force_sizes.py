@@ -12,9 +12,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage, signal
 
+from ...arrays import Array
 from ...dynamics import Equations, net_forces
 from ...machine import AppliedEffect, Machine
 from ...preparation.dataset import MIN_ROWS, Dataset, PreparedRecording
@@ -23,8 +23,6 @@ from ..predict.free_parameters import typical_force
 from ..predict.prediction import SEARCH_BANDWIDTH, map_runs, observer_gains, predict, prediction_error
 from .estimation import Fit
 from .model_error import BANDWIDTHS, search_step
-
-Array = NDArray[np.float64]
 
 # As in the EMPS benchmark (Janot, Gautier and Brunot 2019).
 _FORCE_CUTOFF = 100.0  # Hz

@@ -22,6 +22,7 @@ from scipy import optimize, sparse
 from scipy.interpolate import CubicSpline
 from scipy.sparse.linalg import spsolve
 
+from ...arrays import Array
 from ...machine import Machine
 from ...preparation.dataset import Dataset, PreparedRecording
 from ..predict.free_parameters import default_free_parameters
@@ -30,7 +31,6 @@ from ..predict.voltage_responses import voltage_responses
 from .estimation import fit
 from .model_error import continue_fit
 
-Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 _VOLTAGE_ITERATIONS = 5  # of voltages in dropped rows and parameters in turn
 _LONGEST_GAP = 20  # rows; voltages in longer gaps stay interpolated

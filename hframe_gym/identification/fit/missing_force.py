@@ -12,10 +12,10 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import signal
 from scipy.linalg import null_space
 
+from ...arrays import Array
 from ...dynamics.motion_forces import law_torques
 from ...machine import Machine
 from ...machine.motion import pulley_names, rigid_motions
@@ -28,8 +28,6 @@ from ..predict.prediction import (
     predict,
 )
 from .start_estimation import start_for_observer
-
-Array = NDArray[np.float64]
 
 # Low-pass cut-off frequencies, Hz.  In the force residual, noise is fast and a missing effect slow.
 _RESIDUAL_CUTOFF = 30.0

@@ -18,9 +18,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ...effects.smooth_table import TABLE_FAMILY
 from ...machine import Machine
 from ...preparation.dataset import Dataset
@@ -36,8 +33,6 @@ from ..predict.prediction import (
     innovation_variance,
 )
 from .estimation import Fit, cross_validation, fit, prediction_cost
-
-Array = NDArray[np.float64]
 
 _CONVERGED_COST = (
     0.02  # Decrease of cost / chi2 at which a polished fit ends; it is 1 at one standard deviation.

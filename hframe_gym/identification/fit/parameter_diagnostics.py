@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ...arrays import Array
 from ...machine import Machine, Uncertainty
 from ..predict.free_parameters import default_free_parameters
-
-Array = NDArray[np.float64]
 
 # Thresholds beyond which a parameter is reported as doubtful.
 _POOR_RELATIVE_STD = 0.2

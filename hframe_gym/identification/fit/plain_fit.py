@@ -22,10 +22,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 from scipy.optimize import nnls
 
+from ...arrays import Array
 from ...effects import EFFECTS
 from ...machine import AppliedEffect, Machine
 from ...preparation.dataset import MIN_ROWS, Dataset, PreparedRecording
@@ -35,8 +35,6 @@ from ..judge.error import is_better_start
 from ..predict.free_parameters import FreeParameter, default_free_parameters, typical_force
 from ..predict.prediction import SEARCH_BANDWIDTH, SIMULATION
 from .estimation import Fit, fit, prediction_cost
-
-Array = NDArray[np.float64]
 
 # Lengths of the windows, s. Short ones see fast motion, long ones suppress noise; the simulation decides between them.
 _SPANS = (0.02, 0.05, 0.1, 0.2, 0.4)

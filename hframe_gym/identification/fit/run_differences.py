@@ -17,8 +17,8 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...arrays import Array
 from ...machine import Machine
 from ...preparation.dataset import Dataset
 from ..judge import run as judge
@@ -28,8 +28,6 @@ from ..predict.linearization import Linearization, ResidualModel
 from ..predict.prediction import SEARCH_BANDWIDTH
 from .estimation import Fit
 from .model_error import continue_fit
-
-Array = NDArray[np.float64]
 
 _AMOUNT_PRIOR = 0.5  # standard deviation of the amounts
 _LARGEST_AMOUNT = 1.5

@@ -15,8 +15,8 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...arrays import Array
 from ...preparation.dataset import Dataset, RunObserver
 from ..judge.run import accepts_run_observers
 from ..predict.free_parameters import bounded_step, prior_precision
@@ -26,7 +26,6 @@ from ..predict.prediction import POLISH_STEP, SIMULATION, innovation_variance
 from .estimation import Fit, prediction_cost, prediction_costs
 from .model_error import bandwidths_for, polish, search_step
 
-Array = NDArray[np.float64]
 Observers = dict[str, RunObserver]
 
 _ROUNDS = 3  # of choosing observers and fitting; the second rarely changes anything

@@ -12,8 +12,8 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...arrays import Array
 from ...machine import Machine
 from ...preparation.dataset import Dataset, PreparedRecording
 from ...preparation.rest_measurement import InitialState
@@ -26,7 +26,6 @@ from .estimation import Fit, prediction_cost
 from .lost_voltages import estimate_lost_voltages
 from .model_error import continue_fit, fit_with_model_error
 
-Array = NDArray[np.float64]
 # Iterations of a descent, fractions of a step that it tries, and its differences in standard deviations.
 _ITERATIONS, _FRACTIONS, _DIFFERENCE = 6, np.array([1.0, 0.5, 0.25, 0.1]), 0.3
 _SMALLEST_DECREASE = 0.01  # of the cost per iteration, below which a descent ends

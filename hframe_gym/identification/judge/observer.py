@@ -6,9 +6,8 @@ from collections.abc import Callable, Iterable
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from ...arrays import Array
 
 Fitted = TypeVar("Fitted")
 

@@ -7,12 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
+from ...arrays import Array
 from ...machine import DRIVE_KINDS, Drive, Machine
-
-Array = NDArray[np.float64]
 
 # Standard deviations of the priors, relative to the declared value.  Dry friction and viscous friction vary most from
 # one machine to the next, belt lengths least.

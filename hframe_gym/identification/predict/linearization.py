@@ -13,8 +13,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...arrays import Array
 from ...dynamics.simulation import Motion
 from ...machine import Machine
 from ...preparation.dataset import Dataset, PreparedRecording
@@ -28,8 +28,6 @@ from .start_uncertainty import (
     projected,
     uncertain_starts,
 )
-
-Array = NDArray[np.float64]
 
 # Forward difference in units of theta: far above rounding, far below the scale on which the residual is nonlinear.
 DIFFERENCE_STEP = 1e-4

@@ -17,8 +17,8 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...arrays import Array
 from ...distributed import single_threaded_linear_algebra
 from ...dynamics import resolved_step, simulate_batch
 from ...dynamics.simulation import Motion, threads
@@ -28,7 +28,6 @@ from ...preparation.dataset import Dataset, PreparedRecording
 from ...preparation.sensor_zeros import max_fitted_zero_means, max_zero_means, sensor_zero_error
 from ...preparation.voltage_updates import at_updates, update_times, updated_inputs
 
-Array = NDArray[np.float64]
 T = TypeVar("T")
 SEARCH_BANDWIDTH = 60.0  # rad/s; confines the error of a wrong model to a few hundredths of a second
 SIMULATION = 0.0  # rad/s; no feedback

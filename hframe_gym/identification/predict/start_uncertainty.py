@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import null_space
 
+from ...arrays import Array
 from ...dynamics import Equations
 from ...dynamics.simulation import Motion, parameter_batch
 from ...machine import Machine, carried_through_contacts
@@ -25,7 +25,6 @@ from ...preparation.initial_state import model_initial_states
 from ...preparation.rest_measurement import InitialState
 from .prediction import SEARCH_STEP, predict, residuals, whitened
 
-Array = NDArray[np.float64]
 _UNMEASURED_POSITION = 2e-4  # m; error of a position that follows from later measurements
 
 

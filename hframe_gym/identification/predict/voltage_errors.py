@@ -31,6 +31,7 @@ from scipy.linalg import solve_triangular
 from scipy.ndimage import uniform_filter1d
 from typing_extensions import override
 
+from ...arrays import Array
 from ...machine import Machine
 from ...preparation.dataset import Dataset, PreparedRecording, VoltageErrors
 from .prediction import (
@@ -42,8 +43,6 @@ from .prediction import (
     sensor_innovation_variance,
 )
 from .voltage_responses import voltage_responses
-
-Array = NDArray[np.float64]
 
 # If the part of a voltage that interpolation misses is independent from one change to the next, with the variance s^2,
 # third differences of the rows have the variance 20 s^2 (1 + 9 + 9 + 1), and the mean voltage from one row to the next

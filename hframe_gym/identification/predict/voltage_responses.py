@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from ...arrays import Array
 from ...machine import Machine
 from ...preparation.belt_stretch import rigid_basis
 from ...preparation.dataset import Dataset, PreparedRecording
@@ -17,7 +18,6 @@ from .prediction import (
     residuals,
 )
 
-Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 # Product of the observer's bandwidth and the time after which it has corrected the response to a row; the bandwidth of
 # lasers beside encoders is 5/12 of it.

@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...arrays import Array
 from ...effects import effect_sites
 from ...effects.smooth_table import TABLE_FAMILY
 from ...errors import InputError
@@ -25,8 +25,6 @@ from ..fit.missing_force import follow_runs, missing_force, sensor_errors
 from ..predict.free_parameters import FreeParameter
 from ..predict.prediction import SEARCH_BANDWIDTH
 from .periodogram import MIN_FORCE_PERIODS, MIN_FRICTION_PERIODS
-
-Array = NDArray[np.float64]
 
 _LEAST_PERIOD_PRIOR = 0.1  # relative
 _ROUNDING = 0.01  # relative; predictions with different observers have slightly different travels

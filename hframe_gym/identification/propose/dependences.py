@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
+from ...arrays import Array
 from ...machine import HOOKS, AppliedEffect, Machine, argument_names
 from ...machine.motion import rigid_motions
 from ...preparation.dataset import Dataset
@@ -39,7 +40,6 @@ from ..fit.missing_force import (
 from ..judge import cause as judge
 from ..predict.free_parameters import typical_force
 
-Array = NDArray[np.float64]
 _MOST_ROWS = 10_000  # that are compared; of longer recordings fewer per second
 _ROUNDING_FORCE = (
     1e-9  # Of the typical force; a smaller missing force is a rounding error, as on an axis at rest.

@@ -12,9 +12,8 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 
+from ...arrays import Array
 from ..fit.missing_force import HIGHEST_FREQUENCY
-
-Array = NDArray[np.float64]
 
 # Numbers of periods over the range of the positions. Less than one period of a force cannot be distinguished from a
 # spring.

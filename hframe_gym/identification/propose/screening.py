@@ -19,8 +19,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...arrays import Array
 from ...dynamics import Equations, net_forces
 from ...dynamics.motion_forces import ohmic_currents
 from ...dynamics.simulation import Motion, parameter_batch
@@ -35,8 +35,6 @@ from ..predict.free_parameters import prior_precision, second_difference_penalty
 from ..predict.linearization import DIFFERENCE_STEP, ResidualModel
 from ..predict.prediction import mechanical_rows_per_block, predict
 from .candidates import Candidate
-
-Array = NDArray[np.float64]
 
 _COLUMNS_AT_ONCE = 64  # simulated together: their forces stay in the processor's cache, and memory is bounded
 _MIMICKED = 1e-6  # fraction of a column's square below which the machine's parameters explain it entirely

@@ -11,8 +11,8 @@ import itertools
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...arrays import Array
 from ...machine import AppliedEffect, Machine
 from ...preparation.dataset import Dataset
 from ..budget import spend
@@ -27,7 +27,6 @@ from ..predict.prediction import POLISH_STEP, SEARCH_BANDWIDTH, SIMULATION
 from .candidates import SearchState, candidates, effect_parameters, is_required
 from .screening import ScoredCandidate, resemblances, screen, screen_structures
 
-Array = NDArray[np.float64]
 _RESEMBLING = (
     3  # effects that are fitted in place of a selected one because these runs may not distinguish them
 )

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...arrays import Array
 from ...machine import Machine
 from ...web_page import number
 from ..fit.parameter_diagnostics import parameter_doubts
@@ -18,7 +18,6 @@ from .result import STAGES, reason_of_remainder
 from .saved_result import SavedResult
 from .units import readable_unit
 
-Array = NDArray[np.float64]
 # Error in percent of the motion that is small: a feed-forward control by the machine removes the other 99 %.
 _SMALL_PERCENT_OF_MOTION = 1.0
 _NOTICEABLE_ERROR = 1.3  # Remaining error over noise that the report calls unexplained.

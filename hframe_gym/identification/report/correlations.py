@@ -10,12 +10,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import signal
 
+from ...arrays import Array
 from ...web_page import SERIES, Panel, color, legend_above, number
 
-Array = NDArray[np.float64]
 CONFIDENCE = 2.576  # standard deviations of a normal distribution that hold 99 % of the values
 _MAX_LAG_S = 0.2
 _MIN_ROWS = 50

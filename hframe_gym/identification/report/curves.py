@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...arrays import Array
 from ...web_page import number
 from .result import compared_machines
 from .units import readable_unit
 
-Array = NDArray[np.float64]
 _COLORS = {"declared": "declared", "plain": "series3", "before": "before", "after": "after"}
 _MAX_BYTES = 1_500_000  # of all curves in the page, so that a page of many runs stays below 3 MB
 _MAX_ROWS, _MIN_ROWS = 3000, 200  # of one curve; a screen has some 1000 columns

@@ -8,13 +8,12 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...arrays import Array
 from ...effects.smooth_table import TABLE_FAMILY
 from ...machine import AppliedEffect, Coordinate, Machine, argument_names
 from ...web_page import Panel, color, number
 
-Array = NDArray[np.float64]
 _POINTS = 400
 _BAND = 2.0  # standard deviations
 _MAX_PERIODS = 12  # of an effect that repeats; more of them cannot be told apart in a panel

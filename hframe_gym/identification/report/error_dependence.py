@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import signal
 
+from ...arrays import Array
 from ...machine import Machine
 from ...recordings import split_unit
 from ...web_page import Panel, color, number
@@ -16,7 +16,6 @@ from .correlations import CONFIDENCE
 from .curves import channel_noise
 from .units import readable_unit
 
-Array = NDArray[np.float64]
 _BINS = 40  # intervals of position or speed, of equal width
 _MIN_ROWS = 20  # of an interval, so that its mean has a normal distribution whatever the noise is
 _SMOOTHED_S = (

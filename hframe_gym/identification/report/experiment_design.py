@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
+from ...arrays import Array
 from ...atomic_files import atomic_file
 from ...dynamics import simulate_batch
 from ...dynamics.simulation import Motion
@@ -33,8 +34,6 @@ from ..fit.estimation import Fit
 from ..predict.linearization import forward_differences
 from ..predict.prediction import POLISH_STEP, SEARCH_STEP
 from ..propose.trial_fits import fit_in_place_of
-
-Array = NDArray[np.float64]
 
 FILE = "next_experiment.csv"
 # Difference of the predictions, in standard deviations of the sensors' noise, below which no experiment is proposed.

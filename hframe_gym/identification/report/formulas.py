@@ -22,7 +22,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...effects.formulas import Formula, FormulaEffect, curve_of_table, fit_formulas, terms_of_table
 from ...effects.smooth_table import KNOTS, TABLE_FAMILY
@@ -38,7 +37,6 @@ from ..predict.prediction import POLISH_STEP, SEARCH_BANDWIDTH, SEARCH_STEP, SIM
 from ..propose.candidates import effect_parameters
 from .result import IdentificationResult
 
-Array = NDArray[np.float64]
 _NAME = "proposed"  # Name of a formula as an effect until the user chooses one.
 _MAX_FORMULAS = 3  # per table
 _ITERATIONS = 12  # of Levenberg-Marquardt; a formula starts close to its table.

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...arrays import Array
 from ...atomic_files import output_batch
 from ...effects.smooth_table import TABLE_FAMILY
 from ...errors import InputError
@@ -24,7 +24,6 @@ from .result import STAGES, compared_machines
 from .saved_result import load_result
 from .units import readable_unit
 
-Array = NDArray[np.float64]
 _HEADINGS = {
     "effect_found": "Missing effects found",
     "no_effect": "No missing effect found",

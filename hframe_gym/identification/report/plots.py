@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...arrays import Array
 from ...atomic_files import remove_file
 from ...effects.smooth_table import TABLE_FAMILY
 from ...machine import AppliedEffect, Machine
@@ -19,7 +19,6 @@ from .error_dependence import error_panels
 from .result import compared_machines
 from .units import readable_unit
 
-Array = NDArray[np.float64]
 Panels = dict[str, list[Panel]]
 _SLOW = 0.05  # Fraction of a coordinate's top speed below which friction shows its behavior at low speed.
 _MAX_RUNS = 2  # Held-out runs whose errors are drawn over time.

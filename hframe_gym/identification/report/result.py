@@ -12,6 +12,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ...arrays import Array
 from ...atomic_files import atomic_file, output_batch, remove_file, write_text
 from ...effects.smooth_table import HOOK_OF_KIND
 from ...errors import merge_run_warnings
@@ -31,7 +32,6 @@ from ..validate.simpler_machines import PlainResult
 from .experiment_design import FILE, ExperimentDesign
 from .provenance import provenance
 
-Array = NDArray[np.float64]
 SCHEMA = 1
 STAGES = ("declared", "before", "after")  # keys of the three machines in report.json
 _MAX_POINTS = 4000  # Points of a thinned curve in evidence.npz.

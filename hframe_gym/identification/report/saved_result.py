@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
+from ...arrays import Array
 from ...atomic_files import complete_commit, newest
 from ...controllers import shorter_period
 from ...effects import EFFECTS
@@ -24,8 +24,6 @@ from ...recordings import load_machine
 from ..judge.verdict import Verdict
 from .formulas import ProposedFormula, mean_error, propose_formulas, tables_of
 from .result import STAGES
-
-Array = NDArray[np.float64]
 
 
 class _Entry(BaseModel):

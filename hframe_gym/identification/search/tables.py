@@ -14,8 +14,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...arrays import Array
 from ...effects.smooth_table import KNOTS, TABLE_FAMILY, definition
 from ...machine import AppliedEffect, Machine
 from ...preparation.dataset import Dataset, PreparedRecording
@@ -34,7 +34,6 @@ from ..propose.candidates import Candidate
 from ..propose.screening import screen
 from ..propose.trial_fits import fit_with_candidate
 
-Array = NDArray[np.float64]
 _BINS = (
     4 * KNOTS
 )  # Bins of the variable over which a force is averaged; finer than the knots, to find the bends.

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ...arrays import Array
 from ...dynamics import resolved_step, simulate, simulate_batch
 from ...machine import Machine, Trajectory
 from ...preparation.encoder_zeros import EncoderZeros
@@ -32,8 +33,6 @@ from ..fit.lost_voltages import estimate_lost_voltages
 from ..fit.start_estimation import most_probable_start
 from ..judge.criteria import SelectionCriteria
 from ..predict.prediction import POLISH_STEP
-
-Array = NDArray[np.float64]
 
 
 class SimulatedRecording(NamedTuple):
