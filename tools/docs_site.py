@@ -21,7 +21,7 @@ from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
 from hframe_gym.cli import app
-from hframe_gym.cli.app import registered_choices
+from hframe_gym.help_texts import registered_choices
 
 ROOT = Path(__file__).parents[1]
 # Pages of the site that are files of the repository's root folder.

@@ -14,16 +14,17 @@ from typing_extensions import override
 
 from ..exporters import EXPORTERS
 from ..exporters.base import ARGUMENT, HELP
+from ..help_texts import with_choices
 from .session import EXPORTS, export_command
 from .stage import Stage, State, heading
 
 
 class ExportStage(Stage):
-    """Export the corrected machine."""
+    """Write the machine, corrected where it was identified, or a controller, in the format of another tool."""
 
     key, title, action = "export", "Export", "Export"
     purpose = (
-        "Files for other tools. Each export names the machine, the version that wrote it, and the units."
+        "Files for other tools. Each file states the machine, the version of this program and the units."
     )
 
     def __init__(self, page: Any) -> None:
@@ -50,7 +51,7 @@ class ExportStage(Stage):
 
     @override
     def commands(self) -> list[list[str]]:
-        """Return the command that exports."""
+        """Return the command that exports; kinds that take no machine, such as a policy, get none."""
         exporter = EXPORTERS.get(self._kind)
         takes_machine = "machine" in {f.name for f in dataclasses.fields(exporter)}
         machine = self.session.corrected if takes_machine else None
@@ -67,13 +68,14 @@ class ExportStage(Stage):
             for field in dataclasses.fields(exporter):
                 if field.name == "machine":
                     continue
-                text = str(field.metadata[HELP])
+                text = html.escape(with_choices(field.metadata[HELP]))
                 if field.metadata[ARGUMENT]:
-                    argument = ui.input(field.name, value=self._arguments).props("dense outlined stack-label")
-                    self.keep(argument, "_arguments", lambda text: text or "")
+                    argument = ui.input(field.name, value=self._arguments)
+                    argument.props(f'dense outlined stack-label hint="{text}"')
+                    self.keep(argument, "_arguments", lambda typed: typed or "")
                 elif isinstance(field.default, bool):
                     switch = ui.checkbox(field.name, value=field.name in self._options)
-                    switch.props(f'title="{html.escape(_plain(text))}"')
+                    switch.props(f'title="{text}"')
                     switch.on_value_change(
                         lambda e, name=field.name: self._set_option(name, "" if e.value else None)
                     )
@@ -81,12 +83,12 @@ class ExportStage(Stage):
                     default = "" if field.default is None else str(field.default)
                     value = self._options.get(field.name, "")
                     entry = ui.input(field.name, value=value, placeholder=default)
-                    entry.props(f'dense outlined stack-label hint="{html.escape(_plain(text))}"')
+                    entry.props(f'dense outlined stack-label hint="{text}"')
                     entry.on_value_change(
                         lambda e, name=field.name: self._set_option(name, (e.value or "").strip() or None)
                     )
         self.command_box()
-        with ui.expansion("What this export has").classes("w-full"):
+        with ui.expansion("What this export writes").classes("w-full"):
             ui.html(
                 f"<pre class='hf-output'>{html.escape(inspect.getdoc(exporter) or '')}</pre>", sanitize=False
             )
@@ -98,15 +100,15 @@ class ExportStage(Stage):
                     name = path.relative_to(self.session.folder).as_posix()
                     with ui.element("li"):
                         ui.link(name, f"/session/{quote(name)}").props(f'download="{path.name}"')
-                        ui.label(f"{path.stat().st_size / 1024:.1f} kB").classes("hf-muted")
+                        ui.label(f"{path.stat().st_size / 1000:.1f} kB").classes("hf-muted")
 
     def _choose(self, kind: str) -> None:
-        """Choose the kind of export."""
+        """Choose the kind of export, which has other options."""
         self._kind, self._options, self._arguments = kind, {}, ""
         self.refresh()
 
     def _set_option(self, name: str, value: str | None) -> None:
-        """Choose an option; None removes it."""
+        """Set an option of the command, "" for one without a value; None removes it."""
         self._options.pop(name, None)
         if value is not None:
             self._options[name] = value
@@ -114,10 +116,5 @@ class ExportStage(Stage):
 
 
 def _summary(exporter: Any) -> str:
-    """Return the first line of what an exporter is."""
+    """Return the first line of an exporter's description."""
     return (inspect.getdoc(exporter) or "").partition("\n")[0].rstrip(".")
-
-
-def _plain(text: str) -> str:
-    """Return a help text without placeholders."""
-    return text.replace("{", "").replace("}", "")

@@ -7,7 +7,7 @@ import inspect
 import os
 import re
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from enum import StrEnum
 from importlib import import_module
@@ -21,7 +21,7 @@ from typer.core import TyperCommand, TyperGroup
 from typing_extensions import override
 
 from ..distributed import LOCAL_RAY
-from ..registry import load_plugins
+from ..help_texts import with_choices
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
@@ -233,33 +233,8 @@ def plain_text(text: str) -> str:
     return "".join(c if c.isprintable() or c in "\n\t" else repr(c)[1:-1] for c in text)
 
 
-def registered_choices() -> dict[str, str]:
-    """List the names that some options accept, by their placeholder in the help texts: {"tasks": "reach, track"}.
-
-    Plugins are imported first. The placeholders are agents, algorithms, controllers, protocols, randomizations, sensors
-    and tasks.
-    """
-    from ..agents import recipe_names, shipped_agent_names
-    from ..controllers import CONTROLLERS
-    from ..envs import RANDOMIZATION_PRESETS, SENSOR_PRESETS, TASKS
-    from ..evaluation import PROTOCOLS
-
-    load_plugins()
-    algorithms = sorted({name.rpartition("_")[0] for name in recipe_names()})
-    choices: dict[str, Iterable[str]] = {
-        "agents": shipped_agent_names(),
-        "algorithms": algorithms,
-        "controllers": CONTROLLERS,
-        "protocols": PROTOCOLS,
-        "randomizations": RANDOMIZATION_PRESETS,
-        "sensors": SENSOR_PRESETS,
-        "tasks": TASKS,
-    }
-    return {placeholder: ", ".join(names) for placeholder, names in choices.items()}
-
-
 class CommandWithChoices(Command):
-    """Command whose help texts may contain placeholders of `registered_choices`, for example {tasks}.
+    """Command whose help texts may contain placeholders of `help_texts.registered_choices`, for example {tasks}.
 
     They are replaced when the help is printed, so that no other command waits for the imports of the registries. The
     option --ray may have no value.
@@ -276,9 +251,8 @@ class CommandWithChoices(Command):
     @override
     def format_help(self, ctx: Any, formatter: Any) -> None:
         """Write the help page, with the names of the registered tasks, controllers etc. for their placeholders."""
-        choices = registered_choices()
         for parameter in self.params:
             help_text = getattr(parameter, "help", None)
             if help_text:
-                parameter.help = help_text.format(**choices)  # type: ignore[attr-defined]
+                parameter.help = with_choices(help_text)  # type: ignore[attr-defined]
         super().format_help(ctx, formatter)

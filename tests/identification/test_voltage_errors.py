@@ -130,7 +130,9 @@ def test_residuals_are_whitened_window_by_window() -> None:
         assert np.sqrt(np.mean((correlation - np.eye(406)) ** 2)) < 0.02
         exact = 2.0 * np.log(np.diag(root))
         assert 0.0 <= np.mean(errors_of_run.log_variance(bandwidth)) - np.mean(exact) < 0.03
-        assert errors_of_run.memory(bandwidth) <= 400 * 203  # bytes a row, whatever the observer
+        assert (
+            errors_of_run.whitening(bandwidth).factors.nbytes <= 400 * 203
+        )  # bytes a row, whatever the observer
 
 
 def test_the_errors_of_voltages_no_longer_make_a_pulley_too_heavy() -> None:

@@ -252,7 +252,7 @@ def excess_delay(fitted: Fit, data: Dataset) -> ExcessDelay | None:
         data: Runs whose voltages change at least twice a row.
 
     Returns:
-        Delay; None if the rows are too few or the parameters do not converge.
+        Delay; None if the rows are too few, the parameters do not converge, or a prediction diverges.
     """
     data = data.without_voltage_errors()
     by_instruments = _by_instruments(fitted, data) if _are_enough(data) else None
@@ -270,6 +270,8 @@ def excess_delay(fitted: Fit, data: Dataset) -> ExcessDelay | None:
             models.linearize(theta), *(_delay_derivatives(model, theta) for model in models), strict=True
         )
     ]
+    if not _are_finite(linear):
+        return None
     whitening, used = _whitening([of_run.residual for of_run in linear], models.all_rows, models.sensors)
     prior = block_diag(prior_precision(fitted.free), 1.0)  # of the delay: one sampling period
     equations = _normal_equations(linear, whitening, used, prior, models.rows_per_block)
@@ -301,7 +303,7 @@ def _by_instruments(fitted: Fit, data: Dataset) -> _Estimate | None:
     for _ in range(_ROUNDS):
         spend()
         linear = models.linearize(theta)
-        if not all(np.isfinite(part).all() for of_run in linear for part in of_run):
+        if not _are_finite(linear):
             return None
         whitening, used = _whitening([of_run.residual for of_run in linear], used, models.sensors)
         equations = _normal_equations(linear, whitening, used, prior, models.rows_per_block)
@@ -312,6 +314,11 @@ def _by_instruments(fitted: Fit, data: Dataset) -> _Estimate | None:
         if -float(slope @ step) < _CONVERGED:
             return _Estimate(theta, models.measured.machine_at(theta), equations)
     return None
+
+
+def _are_finite(linear: Sequence[_Linear]) -> bool:
+    """Return whether no prediction diverges."""
+    return all(np.isfinite(part).all() for of_run in linear for part in of_run)
 
 
 def _are_enough(data: Dataset) -> bool:

@@ -150,7 +150,7 @@ def simulation_error(machine: Machine, data: Dataset) -> Array:
     return np.asarray(np.sqrt(np.nanmean(changes**2, axis=0)))
 
 
-class _Whitening(NamedTuple):
+class Whitening(NamedTuple):
     """What makes the residual of a run white: its blocks of rows, given the rows before them.
 
     Attributes:
@@ -163,8 +163,8 @@ class _Whitening(NamedTuple):
     log_variance: Array
 
     @classmethod
-    def of(cls, responses: sparse.csr_array, variance: Array) -> _Whitening:
-        """Return the whitening of a residual.
+    def of(cls, responses: sparse.csr_array, variance: Array) -> Whitening:
+        """Return the whitening of a residual of n rows, shape (n * sensors,).
 
         Args:
             responses: Change of the residual by errors of one standard deviation, shape (n * sensors, errors).
@@ -223,34 +223,30 @@ class InterpolationErrors(VoltageErrors):
         held = dataclasses.replace(run, updates=1, voltage_errors=None)
         self._machine, self._run = machine, held
         self._data = dataclasses.replace(data, runs=(held,))
-        self._by_bandwidth: dict[float, _Whitening] = {}
+        self._by_bandwidth: dict[float, Whitening] = {}
 
     @override
     def whiten(self, residual: Array, bandwidth: float) -> Array:
         finite = np.isfinite(residual).all(axis=1)
         if finite.all():
-            return self._at(bandwidth)(residual)  # without copies
+            return self.whitening(bandwidth)(residual)  # without copies
         white = np.full_like(residual, np.nan)
-        white[finite] = self._at(bandwidth)(residual[finite])
+        white[finite] = self.whitening(bandwidth)(residual[finite])
         return white
 
     @override
     def log_variance(self, bandwidth: float) -> Array:
-        return self._at(bandwidth).log_variance
+        return self.whitening(bandwidth).log_variance
 
-    def memory(self, bandwidth: float) -> int:
-        """Return the size of what is kept for an observer, bytes.
+    def whitening(self, bandwidth: float) -> Whitening:
+        """Return what makes the residual, shape (n * sensors,), white; it is computed once for each observer.
 
         Args:
             bandwidth: Bandwidth of the observer that corrects the predictions, rad/s.
         """
-        return self._at(bandwidth).factors.nbytes
-
-    def _at(self, bandwidth: float) -> _Whitening:
-        """Return the whitening for an observer; it is computed once."""
         if bandwidth not in self._by_bandwidth:
             variance = sensor_innovation_variance(self._machine, self._data.period, bandwidth)
-            self._by_bandwidth[bandwidth] = _Whitening.of(self.responses(bandwidth), variance)
+            self._by_bandwidth[bandwidth] = Whitening.of(self.responses(bandwidth), variance)
         return self._by_bandwidth[bandwidth]
 
     def responses(self, bandwidth: float) -> sparse.csr_array:

@@ -1,0 +1,37 @@
+"""Help texts of options, in which placeholders such as {tasks} stand for registered names, also those of plugins."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from .registry import load_plugins
+
+
+def with_choices(text: str) -> str:
+    """Return a help text with the registered names in place of its placeholders (`registered_choices`)."""
+    return text.format(**registered_choices()) if "{" in text else text
+
+
+def registered_choices() -> dict[str, str]:
+    """List the names that some options accept, by their placeholder in the help texts: {"tasks": "reach, track"}.
+
+    Plugins are imported first. The placeholders are agents, algorithms, controllers, protocols, randomizations, sensors
+    and tasks.
+    """
+    from .agents import recipe_names, shipped_agent_names
+    from .controllers import CONTROLLERS
+    from .envs import RANDOMIZATION_PRESETS, SENSOR_PRESETS, TASKS
+    from .evaluation import PROTOCOLS
+
+    load_plugins()
+    algorithms = sorted({name.rpartition("_")[0] for name in recipe_names()})
+    choices: dict[str, Iterable[str]] = {
+        "agents": shipped_agent_names(),
+        "algorithms": algorithms,
+        "controllers": CONTROLLERS,
+        "protocols": PROTOCOLS,
+        "randomizations": RANDOMIZATION_PRESETS,
+        "sensors": SENSOR_PRESETS,
+        "tasks": TASKS,
+    }
+    return {placeholder: ", ".join(names) for placeholder, names in choices.items()}
