@@ -60,7 +60,7 @@ __all__ = [
     "simulate",
 ]
 
-__version__ = "0.3.0"  # the only place of the version; pyproject.toml reads it
+__version__ = "0.4.0"  # the only place of the version; pyproject.toml reads it
 
 _SUBPACKAGES = {
     "EFFECTS": "effects",
