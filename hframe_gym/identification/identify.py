@@ -98,7 +98,9 @@ def identify(
     outcome = delivered.evaluated.outcome
     remarks = (*found.remarks, *delivered.remarks)
     if (remarks or outcome.verdict == "unexplained") and not found.outcome.unfinished:
-        remarks += describe_run_differences(outcome.after, found.comparable_runs(session.data), criteria)
+        # From the machine of the search: the one that is delivered may describe what the runs do not have in common.
+        searched = evaluated.outcome.after
+        remarks += describe_run_differences(searched, found.comparable_runs(session.data), criteria)
 
     # Report.
     result = build_result(delivered, found, remarks, budget)

@@ -139,6 +139,13 @@ def test_the_weakest_superfluous_effect_is_removed_first(scripted: Scripted) -> 
     assert search_.considered[DRAG.label].reason == "has no effect on the error"
 
 
+def test_an_effect_that_is_kept_is_compared_with_the_machine_that_has_all_others(scripted: Scripted) -> None:
+    """Otherwise what later effects explain counts as the gain of an earlier one that added coordinates."""
+    scripted.without = {PUSH.label: fit_with(DRAG, chi2=6.0), DRAG.label: fit_with(PUSH, chi2=3.0)}
+    _, kept = scripted.search().prune(fit_with(PUSH, DRAG, chi2=2.0), (selected(PUSH), selected(DRAG)))
+    assert [s.machine_without.effects for s in kept] == [(DRAG,), (PUSH,)]
+
+
 def test_an_effect_on_which_another_rests_is_kept(scripted: Scripted) -> None:
     scripted.without = {FRAME.label: None}
     fitted, effects = scripted.search().prune(fit_with(FRAME, chi2=2.0), (selected(FRAME),))

@@ -170,6 +170,29 @@ def test_two_runs_are_not_compared():
     assert differences(record(with_payload, [0.0, 0.5])) is None
 
 
+@pytest.mark.parametrize("different", [1, 2])
+def test_of_three_runs_the_one_with_another_gain_is_left_out_and_its_gain_is_told(different):
+    """Run 2 is the held-out one; two runs that agree say which of the three is different."""
+    motor, runs = BUILTIN_MACHINES["axis"](), []
+    for k in range(3):
+        rng, time = np.random.default_rng(k), np.arange(1500) * 1e-3
+        volts = (
+            3.0 * np.sin((5 + k) * time) + 2.0 * np.sin(17.0 * time + k) + 1.5 * np.sign(np.sin(2.0 * time))
+        )
+        volts = (volts * (time > 0.1))[:, None]
+        outputs = motor.simulate(time, volts * (0.73 if k == different else 1.0)).outputs
+        runs.append(
+            Recording(f"run_{k}", 20.0 * k + time, volts, outputs + rng.normal(0.0, 20e-6, (1500, 1)))
+        )
+    result = identify(runs, motor)
+    assert result.verdict == "no_effect"
+    assert result.left < 1.2
+    assert any(
+        f"run_{different} differs from the other runs in the voltage of motor: 0.73" in warning
+        for warning in result.run_warnings
+    )
+
+
 @pytest.mark.slow
 def test_identify_names_the_payload_and_no_effect():
     lines: list[str] = []

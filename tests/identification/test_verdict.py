@@ -89,8 +89,32 @@ def test_effects_that_are_the_main_causes_may_leave_more(remaining_fraction: flo
 
 
 @pytest.mark.parametrize(
+    ("causes", "fast", "reduction", "named"),
+    [
+        (True, 0.07, 1.2, True),  # backlash of both gears beside a slow force
+        (True, 0.26, 1.2, False),
+        (True, 0.07, 0.8, False),  # it removes less than it should: it imitates something
+        (False, 0.07, 1.2, False),
+    ],
+)
+def test_fast_effects_are_named_beside_a_slow_force(
+    causes: bool, fast: float, reduction: float, named: bool
+) -> None:
+    evidence = Evidence(
+        50.0, 50.0, 0.01, 3e-4, 0.46, causes_named=causes, remaining_fast=fast, reduction=reduction
+    )
+    assert (contradiction_of_names(evidence, False, CRITERIA) == "") == named
+
+
+@pytest.mark.parametrize(
     ("labels", "causes", "expected"),
     [
+        (
+            ["electrical_lag@motor1", "electrical_lag@motor2"],
+            [("drives", "load of drives"), ("motor1", "v1_V")],
+            True,
+        ),  # each drive has it
+        (["electrical_lag@motor1"], [("drives", "load of drives"), ("motor1", "v1_V")], False),
         (["stribeck_friction@x"], [("x", "velocity of x"), ("x", "position of x")], True),
         (
             ["stribeck_friction@x"],

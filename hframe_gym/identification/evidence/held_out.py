@@ -23,7 +23,7 @@ def held_out_gain(selected: SelectedEffect, machine: Machine, validation: Datase
     """Return the fraction of the squared error of the held-out runs that one of several effects removes.
 
     The machine with all effects is compared with a copy without this effect, whose other parameters are equal. If the
-    effect added coordinates, it is compared with the machine that was fitted before the effect was added.
+    effect added coordinates, it is compared with the machine that was fitted with all other effects.
 
     An observer hides slow errors, and with them what a small constant force explains. If it shows no gain, the error of
     a simulation decides, provided that the effect removes more than half of that.
@@ -46,7 +46,7 @@ def held_out_gain(selected: SelectedEffect, machine: Machine, validation: Datase
 
 
 def _machine_without(selected: SelectedEffect, machine: Machine) -> Machine:
-    """Return a machine without one of its effects; for an effect that added coordinates, the machine before it."""
+    """Return a machine without one of its effects; for an effect that added coordinates, as it was fitted without."""
     if selected.effect.definition.structure:  # the effect added coordinates
         return selected.machine_without
     return machine.replace(effects=tuple(e for e in machine.effects if e.label != selected.effect.label))

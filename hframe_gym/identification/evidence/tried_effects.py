@@ -19,7 +19,8 @@ class SelectedEffect:
     Attributes:
         effect: The effect with its fitted parameters.
         gain: Reduction of chi-squared per sample on the fitted runs.
-        machine_without: The machine as it was fitted before the effect was added.
+        machine_without: The machine as it was fitted without the effect: beside all other effects once they were tested
+            beside each other, else before it was added.
         rival_effects: Other effects, with fitted parameters, that explain the data equally well.
     """
 
@@ -33,17 +34,20 @@ class SelectedEffect:
         """Labels of the rival effects, then causes in words that no recording can distinguish from the effect."""
         return (*(rival.label for rival in self.rival_effects), *self.effect.definition.equivalent)
 
-    def with_values(self, machine: Machine) -> SelectedEffect:
+    def with_values(self, machine: Machine, machine_without: Machine | None = None) -> SelectedEffect:
         """Return a copy in which the effect has the parameter values of another fitted machine.
 
         Args:
             machine: Machine that contains the effect (deviation from the nominal model), usually a later fit.
+            machine_without: The machine as it was fitted without the effect. Default: as before.
 
         Returns:
             Copy with the updated effect.
         """
         return dataclasses.replace(
-            self, effect=next(e for e in machine.effects if e.label == self.effect.label)
+            self,
+            effect=next(e for e in machine.effects if e.label == self.effect.label),
+            machine_without=machine_without or self.machine_without,
         )
 
 

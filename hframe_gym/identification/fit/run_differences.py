@@ -12,7 +12,7 @@ dimensionless amounts by which a quantity differs in the n runs.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -193,6 +193,21 @@ def describe_run_differences(fitted: Fit, data: Dataset, criteria: SelectionCrit
     return (str(best),) if best else ()
 
 
+def best_by_run(fitted: Fit, data: Dataset) -> tuple[Quantity, float] | None:
+    """Return the quantity of which a value in each run leaves least, whether it explains the runs or not.
+
+    Args:
+        fitted: Machine from whose parameters the fits start.
+        data: Its runs, two or more.
+
+    Returns:
+        The quantity, and the sum of squared residuals with the widest observer, in units of the noise; None if the
+        machine diverges.
+    """
+    fits = ((quantity, cost) for quantity, cost, _ in _fits_by_run(fitted, data) if math.isfinite(cost))
+    return min(fits, key=lambda found: found[1], default=None)
+
+
 def _explanations(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> list[RunDifferences]:
     """Return the quantities that explain all runs with values of their own, whether these differ or not."""
     if len(data.runs) < judge.MIN_RUNS_COMPARED:
@@ -200,17 +215,9 @@ def _explanations(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> li
     common = continue_fit(fitted, data, SEARCH_BANDWIDTH)
     if judge.one_value_explains(common.chi2, common.floor, criteria):
         return []
-    # From the machine of the runs that agree: thresholds of effects may be lost in a compromise with a different run.
-    model = _ModelByRun(fitted, data)
-    start = model.linearize(model.start, Quantity("nothing"))
-    if not math.isfinite(start.cost):
-        return []
-    promising = sorted(
-        _quantities(fitted.machine, model.free), key=lambda quantity: model.promise(start, quantity)
-    )
     found: list[RunDifferences] = []
-    for quantity in promising[:_CANDIDATES]:
-        cost, amounts = model.fit(quantity)
+    # From the machine of the runs that agree: thresholds of effects may be lost in a compromise with a different run.
+    for quantity, cost, amounts in _fits_by_run(fitted, data):
         if judge.one_value_explains(cost / data.count, common.floor, criteria):
             relative = (amounts - amounts.min()).tolist()
             in_time = sorted(zip(data.runs, relative, strict=True), key=lambda pair: float(pair[0].time_s[0]))
@@ -218,6 +225,19 @@ def _explanations(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> li
             shared = float(amounts.min())
             found.append(RunDifferences(quantity, by_run, common.chi2, cost / data.count, shared))
     return found
+
+
+def _fits_by_run(fitted: Fit, data: Dataset) -> Iterator[tuple[Quantity, float, Array]]:
+    """Yield the most promising quantities, the cost with a value in each run, and these amounts, shape (runs,)."""
+    model = _ModelByRun(fitted, data)
+    start = model.linearize(model.start, Quantity("nothing"))
+    if not math.isfinite(start.cost):
+        return
+    promising = sorted(
+        _quantities(fitted.machine, model.free), key=lambda quantity: model.promise(start, quantity)
+    )
+    for quantity in promising[:_CANDIDATES]:
+        yield quantity, *model.fit(quantity)
 
 
 def _quantities(machine: Machine, free: Sequence[FreeParameter]) -> list[Quantity]:

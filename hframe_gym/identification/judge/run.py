@@ -118,6 +118,17 @@ def differs_in_a_parameter(suspect: str, different_run: str | None, chi2: float,
     return different_run == suspect and chi2 < AS_GOOD * chi2_others
 
 
+def differs_alone(different_run: str | None, chi2: float, chi2_before: float) -> str | None:
+    """Return the name of the only run that needs another value of a quantity, if no effect is likely to say why.
+
+    Args:
+        different_run: Name of the run; None if several differ.
+        chi2: Chi-squared per sample of all runs with a value of the quantity in each, dimensionless.
+        chi2_before: That with one value for all runs. An effect that one run excites more than others leaves less.
+    """
+    return different_run if chi2_before > FAR * chi2 else None
+
+
 def one_value_explains(chi2: float, variance: float, criteria: SelectionCriteria) -> bool:
     """Return whether a machine explains all runs, with values of their own or without.
 

@@ -35,6 +35,9 @@ class Evidence:
             leave. An observer corrects these predictions by the measurements.
         causes_named: Whether the effects are the causes of the missing force that is left without them, as
             `dependences.are_causes` finds them without a form of any effect.
+        remaining_fast: The same fraction as `remaining_prediction` with the widest observer, which hides slow forces.
+        reduction: By how much the effects reduce the squared error of predictions / by how much they do if they are
+            right, which is the square of their change of the predictions, dimensionless.
         voltages_known: Whether the log contains all voltages.
     """
 
@@ -45,6 +48,8 @@ class Evidence:
     remaining_prediction: float
     causes_named: bool = False
     voltages_known: bool = True
+    remaining_fast: float = math.inf
+    reduction: float = 0.0
 
     @property
     def remaining_simulation(self) -> float:
@@ -111,7 +116,8 @@ def contradiction_of_no_effect(evidence: Evidence, criteria: SelectionCriteria) 
 def contradiction_of_names(evidence: Evidence, explained: bool, criteria: SelectionCriteria) -> str:
     """Return why the held-out runs do not permit to name effects, or "" if they do.
 
-    Effects are named if they leave hardly more than noise, or if what they leave is small against what they explain.
+    Effects are named if they leave hardly more than noise, if what they leave is small against what they explain, or if
+    it is slow while they explain what is fast.
 
     Args:
         evidence: What the held-out runs say.
@@ -128,6 +134,11 @@ def contradiction_of_names(evidence: Evidence, explained: bool, criteria: Select
     measured = evidence.remaining_prediction
     if explained:
         measured = min(measured, evidence.remaining_simulation)
+    # A slow force of another cause may leave more than fast effects remove. They hold if they leave little of what is
+    # fast, and remove as much as they should: of an effect that imitates a part of the error, less is seen elsewhere.
+    fast_named = evidence.causes_named and evidence.remaining_fast <= criteria.max_partial_excess
+    if fast_named and AS_GOOD * evidence.reduction >= 1.0:
+        return ""
     # Of a real machine, a tenth of the error may remain whatever is added. Effects that are its main causes hold all
     # the same; a wrong effect that imitates a cause acts elsewhere, or depends on another variable.
     partial = criteria.max_partial_excess if evidence.causes_named else criteria.max_remaining
@@ -215,35 +226,44 @@ def verdict_of_rest(
 
 @dataclass(frozen=True)
 class DriftEvidence:
-    """Effects compared with a parameter that has another value in each run.
+    """Effects that may differ from run to run, compared with a parameter that has another value in each run.
 
     Attributes:
-        differs_by_run: Whether one of the effects is a function of time, or begins each run in an unknown state.
+        unknowns: Parameters of the effects that are functions of time or begin each run in an unknown state, and these
+            states; 0 if there is no such effect.
+        values: Differences between the runs, one less than the runs.
         explained: Function that returns whether the machine with effects explains the data in simulation.
         wide: Function that returns its error with the widest observer.
-        by_run: Function that returns chi-squared per sample with that observer and another value in each run, without
-            effects; None if no parameter explains the runs so.
+        by_run: Function that returns the error with that observer and another value in each run, in place of these
+            effects; None if no fit succeeds.
     """
 
-    differs_by_run: bool
+    unknowns: int
+    values: int
     explained: Callable[[], bool]
     wide: Callable[[], FitError]
-    by_run: Callable[[], float | None]
+    by_run: Callable[[], FitError | None]
 
 
 def imitates_drift(evidence: DriftEvidence, criteria: SelectionCriteria) -> bool:
     """Return whether effects only imitate a parameter that differs from run to run.
 
-    They do if they leave an error in simulation, which an observer hides, and another value in each run is better.
+    They may if they leave an error in simulation, which an observer hides. Of both explanations, the one with fewer
+    unknowns holds unless the other one is better by as much as an effect must be: what changes over time must show
+    within the runs where these are few, since any two of them may differ.
 
     Args:
         evidence: Errors with the effects and with another value in each run.
         criteria: Decision thresholds of `required_gain`.
     """
-    if not evidence.differs_by_run or evidence.explained():
+    if not evidence.unknowns or evidence.values < 1 or evidence.explained():
         return False
     wide, by_run = evidence.wide(), evidence.by_run()
-    return by_run is not None and by_run < wide.chi2 - required_gain(wide, criteria)
+    if by_run is None:
+        return False
+    if evidence.unknowns < evidence.values:
+        return by_run.chi2 < wide.chi2 - required_gain(wide, criteria)
+    return not wide.chi2 < by_run.chi2 - required_gain(by_run, criteria)
 
 
 def verdict_after_removal(verdict: Verdict, any_effect: bool, refitted_explains: bool) -> Verdict:

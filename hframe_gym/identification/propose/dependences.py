@@ -603,13 +603,24 @@ def are_causes(effects: Sequence[AppliedEffect], ranked: Sequence[Dependence], m
         component, and its formula depends on the same kind of variable. An effect of a sensor is no cause of a force:
         belts that slip imitate a wrong scale, and a true error of a sensor leaves none of the disagreement.
     """
-    return judge.names_causes([[_is_cause(effect, cause, machine) for cause in ranked] for effect in effects])
+    return judge.names_causes(
+        [[_is_cause(effect, cause, effects, machine) for cause in ranked] for effect in effects]
+    )
 
 
-def _is_cause(effect: AppliedEffect, cause: Dependence, machine: Machine) -> bool:
-    """Return whether an effect acts on the component of a cause, and its formula depends on the cause's variable."""
+def _is_cause(
+    effect: AppliedEffect, cause: Dependence, effects: Sequence[AppliedEffect], machine: Machine
+) -> bool:
+    """Return whether an effect acts on the component of a cause, and its formula depends on the cause's variable.
+
+    An effect that each drive has acts on the drives together.
+    """
     definition = effect.definition
-    if cause.component not in (effect.site, machine.coordinate_of_site(effect.site, definition.site)):
+    components = [effect.site, machine.coordinate_of_site(effect.site, definition.site)]
+    alike = {e.site for e in effects if e.definition.name == definition.name}
+    if alike >= {drive.name for drive in machine.drives}:
+        components.append("drives")
+    if cause.component not in components:
         return False
     hooks = {hook: getattr(definition, hook) for hook in HOOKS if getattr(definition, hook)}
     if hooks.keys() & _SENSOR_HOOKS:

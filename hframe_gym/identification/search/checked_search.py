@@ -15,14 +15,15 @@ from ...preparation.dataset import Dataset, with_known_positions
 from ..budget import Budget
 from ..evidence.held_out import contradicting_held_out_runs, held_out_gain, is_excited, worsens_simulation
 from ..evidence.tried_effects import ConsideredEffect, Log
-from ..fit.estimation import fit
+from ..fit.estimation import Fit, fit
 from ..fit.lost_voltages import with_lost_voltages
 from ..fit.plain_fit import PlainFit, better_start, plain_fit
+from ..fit.run_differences import find_run_differences
 from ..fit.start_estimation import refine_dataset
 from ..fit.voltage_updates import VoltagesChangeError, voltage_updates
 from ..judge.criteria import SelectionCriteria
 from ..judge.held_out import HeldOutEffect, refuted_effects
-from ..judge.run import exchanges_held_out
+from ..judge.run import MIN_RUNS_COMPARED, differs_alone, exchanges_held_out
 from ..judge.verdict import verdict_after_removal
 from ..predict.free_parameters import default_free_parameters
 from ..predict.prediction import SEARCH_BANDWIDTH
@@ -88,6 +89,10 @@ class CheckedOutcome(NamedTuple):
         hints = (self.hint,) if self.hint else ()
         return (*remarks, *map(_HELD_OUT_CONTRADICTION.format, self.differing), *hints)
 
+    def without_run(self, name: str) -> CheckedOutcome:
+        """Return the outcome of a search in the other runs, with the name of the run that was left out before it."""
+        return self._replace(outcome=self.outcome._replace(contradiction=name))
+
     def comparable_runs(self, all_runs: Dataset) -> Dataset:
         """Return the fitted, held-out and contradictory runs, measurements of shape (n, sensors).
 
@@ -130,7 +135,10 @@ def find_effects(
     others = _runs_to_exchange(found, log) if complete and may_exchange else []
     if others:
         exchanged = _search_and_check(machine, all_runs, others, criteria, log, budget)
-        found = found._replace(hint=_hint(found, exchanged))
+        if exchanged.outcome.contradiction in found.differing and not exchanged.differing:
+            found = exchanged  # the run that had been held out is the only one that disagrees
+        else:
+            found = found._replace(hint=_hint(found, exchanged))
     outcome = without_unconfirmed(found.outcome, found.agreeing, log)
     outcome = with_input_timing(outcome, found.agreeing, criteria, log)
     return found._replace(outcome=outcome)
@@ -152,6 +160,11 @@ def _search_and_check(
     log(f"fitting {machine.name} to {len(data.runs)} runs, {len(held_out.runs)} held out ({names})")
     data, held_out = with_lost_voltages(machine, data, held_out, log)
     refitted = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
+    different = _different_run(refitted, data, held_out, criteria)
+    if different is not None:
+        log(f"{different} differs from the other runs; searching without it")
+        data = data.with_runs([run.name for run in data.runs if run.name != different])
+        refitted = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
     updates, known = voltage_updates(refitted, data, criteria), machine
     search = partial(_search, machine, criteria=criteria, log=log, budget=budget)
     for restarts in range(_MOST_RESTARTS + 1):
@@ -163,10 +176,26 @@ def _search_and_check(
             messages = (*messages, _BETWEEN_ROWS.format(changes, updates.per_row))
         fitted = dataclasses.replace(fitted, updates_settled=restarts == _MOST_RESTARTS)
         try:
-            return search(fitted, validation)._replace(messages=messages)
-        except VoltagesChangeError as found:
-            updates, known = found.updates, found.machine
+            found = search(fitted, validation)._replace(messages=messages)
+            return found if different is None else found.without_run(different)
+        except VoltagesChangeError as change:
+            updates, known = change.updates, change.machine
     raise AssertionError("the last search asks for no other number of changes")
+
+
+def _different_run(
+    refitted: Fit, data: Dataset, held_out: Dataset, criteria: SelectionCriteria
+) -> str | None:
+    """Return the name of the fitted run that alone needs another value of a quantity, if the fitted ones are too few.
+
+    Of two runs that disagree, either may be wrong; a held-out run that agrees with one of them says which.
+    """
+    everything = dataclasses.replace(data, runs=(*data.runs, *held_out.runs))
+    if not 1 < len(data.runs) < MIN_RUNS_COMPARED <= len(everything.runs):
+        return None
+    found = find_run_differences(refitted, everything, criteria)
+    different = found and differs_alone(found.different_run, found.chi2, found.chi2_before)
+    return different if different in [run.name for run in data.runs] else None
 
 
 def _interpolated(

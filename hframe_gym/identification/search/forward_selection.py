@@ -329,10 +329,12 @@ class EffectSearch:
         Returns:
             The fit of the machine with the remaining effects (`current` if all remain), and these effects.
         """
+        without: dict[str, Machine] = {}
         for candidate in sorted(selected, key=lambda s: s.gain):
             reduced = without_effect(current, candidate.effect.label, self.data, self._plain)
             if reduced is None:
                 continue
+            without[candidate.effect.label] = reduced.machine
             doubt = doubt_beside_others(reduced, current, candidate.effect, self.data, self._criteria)
             if doubt:
                 self._log(f"  {candidate.effect.label} is removed: it {doubt}")
@@ -343,4 +345,4 @@ class EffectSearch:
                     s for s in selected if s is not candidate
                 )  # those that passed beside it may fail without it
                 return self.prune(reduced, tuple(s.with_values(reduced.machine) for s in others))
-        return current, tuple(s.with_values(current.machine) for s in selected)
+        return current, tuple(s.with_values(current.machine, without.get(s.effect.label)) for s in selected)

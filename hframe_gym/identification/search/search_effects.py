@@ -7,7 +7,7 @@ from collections.abc import Callable
 from functools import cache, cached_property
 from typing import NamedTuple
 
-from ...machine import HOOKS, Machine, argument_names
+from ...machine import HOOKS, Effect, Machine, argument_names
 from ...preparation.dataset import Dataset
 from ..budget import Budget, BudgetEndedError, note_error, spend
 from ..evidence.tried_effects import ConsideredEffect, Log, SelectedEffect, Selection
@@ -19,7 +19,7 @@ from ..fit.model_error import (
     polish,
     refined_in_simulation,
 )
-from ..fit.run_differences import RunDifferences, find_run_differences
+from ..fit.run_differences import Quantity, RunDifferences, best_by_run, find_run_differences
 from ..fit.run_observers import fit_run_by_run
 from ..fit.slow_logs import fit_slow_log
 from ..fit.start_estimation import refine_dataset
@@ -37,7 +37,7 @@ from ..judge.verdict import (
 )
 from ..predict.free_parameters import default_free_parameters
 from ..predict.prediction import SEARCH_BANDWIDTH, SIMULATION
-from ..propose.trial_fits import converge
+from ..propose.trial_fits import converge, without_effect
 from .forward_selection import EffectSearch
 from .tables import add_tables, fit_with_moved_knots
 
@@ -196,6 +196,12 @@ def _wide_chi2(outcome: SearchOutcome) -> float:
     return prediction_cost(outcome.after.machine, outcome.data, SEARCH_BANDWIDTH) / outcome.data.count
 
 
+def _may_differ_by_run(definition: Effect) -> bool:
+    """Return whether an effect is a function of time, or begins each run in an unknown state."""
+    hooks = (getattr(definition, name) for name in HOOKS)
+    return bool(definition.initial_spread) or any(hook and "t" in argument_names(hook) for hook in hooks)
+
+
 class _Search:
     """The search for effects that explain the residual of the refitted machine; arguments as of `search_effects`.
 
@@ -304,16 +310,31 @@ class _Search:
 
     def _imitated_drift(self, after: Fit) -> str:
         """Return the name of the parameter that differs from run to run, if effects only imitate it; otherwise ""."""
-        hooks = [getattr(e.definition, name) for e in after.machine.effects for name in HOOKS]
-        starts_unknown = any(e.definition.initial_spread for e in after.machine.effects)
+        declared = {e.label for e in self.before.machine.effects}
+        named = [e for e in after.machine.effects if e.label not in declared]
+        over_time = [e for e in named if _may_differ_by_run(e.definition)]
+        states = sum(bool(e.definition.initial_spread) for e in over_time) * len(self._data.runs)
+
+        @cache
+        def by_run() -> tuple[Quantity, float] | None:
+            start: Fit | None = after
+            for effect in over_time:
+                start = start and without_effect(start, effect.label, self._data, self.before.machine)
+            return start and best_by_run(start, self._data)
+
+        def error_by_run() -> FitError | None:
+            found = by_run()
+            return found and dataclasses.replace(self.base, cost=found[1]).error
+
         evidence = DriftEvidence(
-            differs_by_run=any(hook and "t" in argument_names(hook) for hook in hooks) or starts_unknown,
+            unknowns=sum(len(e.parameters) for e in over_time) + states,
+            values=len(self._data.runs) - 1,
             explained=lambda: self._explains(self._refined(after)),
             wide=lambda: self._wide_error(after),
-            by_run=lambda: self._difference.chi2 if self._difference else None,
+            by_run=error_by_run,
         )
-        imitated = imitates_drift(evidence, self._criteria)
-        return self._difference.quantity.name if imitated and self._difference else ""
+        found = imitates_drift(evidence, self._criteria) and by_run()
+        return found[0].name if found else ""
 
     @cached_property
     def _difference(self) -> RunDifferences | None:

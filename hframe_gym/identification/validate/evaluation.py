@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...machine import Machine
-from ...preparation.dataset import Dataset
+from ...preparation.dataset import Dataset, PreparedRecording
 from ...preparation.sensor_properties import Range, range_effects
 from ...preparation.session import Session, with_all_measurements
 from ..evidence.tried_effects import ConsideredEffect, Log, SelectedEffect
@@ -28,7 +28,8 @@ from ..judge.verdict import (
     contradiction_of_no_effect,
     remaining,
 )
-from ..predict.prediction import POLISH_STEP
+from ..predict.prediction import POLISH_STEP, SEARCH_BANDWIDTH, innovation_variance
+from ..predict.start_uncertainty import prediction_residuals
 from ..predict.voltage_errors import simulation_error
 from ..propose.dependences import are_causes, rank_dependences
 from ..search.search_effects import SearchOutcome
@@ -148,6 +149,8 @@ def _contradiction(evaluated: Evaluated, differing: Sequence[str]) -> str:
             causes = rank_dependences(outcome.before.machine, outcome.data)
             named = are_causes([s.effect for s in outcome.selected], causes, outcome.before.machine)
             evidence = dataclasses.replace(evidence, causes_named=named)
+            if named:
+                evidence = _with_fast_error(evidence, evaluated, differing)
             reason = contradiction_of_names(evidence, outcome.explained, criteria)
         return reason
     return contradiction_of_no_effect(evidence, criteria)
@@ -156,7 +159,7 @@ def _contradiction(evaluated: Evaluated, differing: Sequence[str]) -> str:
 def _evidence(evaluated: Evaluated, differing: Sequence[str]) -> Evidence:
     """Return what the held-out runs that do not contradict the fitted ones say; all of them if all contradict."""
     validation = evaluated.test.validation
-    agreeing = [run for run in validation.runs if run.name not in differing] or list(validation.runs)
+    agreeing = _agreeing(evaluated, differing)
 
     # The size of these errors is known within a factor of four: enough to judge names, too little to exclude effects.
     lenient = validation.has_voltage_errors and bool(evaluated.outcome.selected)
@@ -181,31 +184,63 @@ def _evidence(evaluated: Evaluated, differing: Sequence[str]) -> Evidence:
         left_before=finite(before.noise_ratio),
         motion=0.0 if math.isnan(motion) else motion,  # nothing moves
         lacking=finite(after.lacking),
-        remaining_prediction=_remaining_prediction(evaluated, [run.name for run in agreeing]),
+        remaining_prediction=_remaining_prediction(evaluated, _quiet(evaluated, agreeing), JUDGING_BANDWIDTH),
         voltages_known=not lenient,
     )
 
 
-def _remaining_prediction(evaluated: Evaluated, names: Sequence[str]) -> float:
-    """Return the fraction of the squared prediction error that effects leave on some of the held-out runs.
+def _agreeing(evaluated: Evaluated, differing: Sequence[str]) -> list[PreparedRecording]:
+    """Return the held-out runs that do not contradict the fitted ones; all of them if all contradict."""
+    runs = evaluated.test.validation.runs
+    return [run for run in runs if run.name not in differing] or list(runs)
 
-    Errors are in units of the noise at rest: jitter of the clock is an estimate from the motion, and a sensor that
-    repeats its measurements may be mistaken for it. The observer is slow enough to show what a missing force does over
-    some tenths of a second, and fast enough that its errors do not add up over the run, where parameters fitted beside
-    a wrong effect compensate for it.
+
+def _quiet(evaluated: Evaluated, runs: Sequence[PreparedRecording]) -> Dataset:
+    """Return some of the held-out runs with the starts of the corrected machine and the noise at rest.
+
+    Jitter of the clock is an estimate from the motion, and a sensor that repeats its measurements may be mistaken for
+    it.
     """
-    validation = evaluated.validation.with_runs(names)
+    validation = evaluated.validation.with_runs([run.name for run in runs])
     quiet = [
         dataclasses.replace(r, noise=np.broadcast_to(validation.noise, r.noise.shape))
         for r in validation.runs
     ]
-    validation = dataclasses.replace(validation, runs=tuple(quiet))
+    return dataclasses.replace(validation, runs=tuple(quiet))
+
+
+def _remaining_prediction(
+    evaluated: Evaluated, validation: Dataset, bandwidth: float, floor: float = 1.0
+) -> float:
+    """Return the fraction of the squared prediction error that effects leave, beyond that of an exact machine.
+
+    The observer that judges is slow enough to show what a missing force does over some tenths of a second, and fast
+    enough that its errors do not add up over the run, where parameters fitted beside a wrong effect compensate for it.
+    """
     after, before = (
-        prediction_cost(model.machine, validation, JUDGING_BANDWIDTH, longest_step=POLISH_STEP)
-        / validation.count
+        prediction_cost(model.machine, validation, bandwidth, longest_step=POLISH_STEP) / validation.count
         for model in (evaluated.after, evaluated.before)
     )
-    return remaining(after, before, 1.0)
+    return remaining(after, before, floor)
+
+
+def _with_fast_error(evidence: Evidence, evaluated: Evaluated, differing: Sequence[str]) -> Evidence:
+    """Return the evidence with what effects leave of fast errors, and whether they remove what they should."""
+    validation = _quiet(evaluated, _agreeing(evaluated, differing))
+    removed = right = 0.0
+    for run in validation.runs:
+        before, after = (
+            prediction_residuals(model.machine, run, validation, JUDGING_BANDWIDTH, longest_step=POLISH_STEP)
+            for model in (evaluated.before, evaluated.after)
+        )
+        removed += float(np.sum(before**2) - np.sum(after**2))
+        right += float(np.sum((before - after) ** 2))
+    floor = innovation_variance(evaluated.after.machine, validation, SEARCH_BANDWIDTH)[0]
+    return dataclasses.replace(
+        evidence,
+        remaining_fast=_remaining_prediction(evaluated, validation, SEARCH_BANDWIDTH, floor),
+        reduction=removed / right if right > 0.0 else 0.0,
+    )
 
 
 def without_names(outcome: SearchOutcome, reason: str) -> SearchOutcome:
@@ -232,6 +267,10 @@ def _corrected(
     limits = range_effects(ranges, [s.effect for s in selected])
     labels = {e.label for e in limits}
     fitted = fitted.replace(effects=tuple(e for e in fitted.effects if e.label not in labels))
-    selected = tuple(s for s in selected if s.effect.label not in labels)
+    selected = tuple(
+        dataclasses.replace(s, machine_without=s.machine_without.with_effects(*limits))
+        for s in selected
+        if s.effect.label not in labels
+    )
     selected += tuple(SelectedEffect(e, 0.0, fitted) for e in limits)
     return fitted.with_effects(*limits), selected

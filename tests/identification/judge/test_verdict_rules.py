@@ -74,20 +74,24 @@ def test_the_verdict_where_an_error_remains(
 
 
 @pytest.mark.parametrize(
-    ("over_time", "explained", "by_run", "imitated"),
+    ("unknowns", "values", "explained", "by_run", "imitated"),
     [
-        (True, False, 1.2, True),
-        (True, False, 1.36, False),  # the difference is no better
-        (True, False, None, False),
-        (True, True, 1.2, False),  # the effect explains the runs in simulation
-        (False, False, 1.2, False),  # no effect over time
+        (2, 5, False, 1.2, True),
+        (2, 5, False, 1.36, False),  # the difference is no better
+        (2, 5, False, None, False),
+        (2, 5, True, 1.2, False),  # the effect explains the runs in simulation
+        (0, 5, False, 1.2, False),  # no effect over time
+        (4, 1, False, 1.36, True),  # of two runs, an effect over time must be better
+        (4, 1, False, 1.5, False),
+        (4, 0, False, 1.2, False),  # a single run differs from no other
     ],
 )
 def test_an_effect_over_time_may_imitate_a_parameter_that_differs_from_run_to_run(
-    over_time: bool, explained: bool, by_run: float | None, imitated: bool
+    unknowns: int, values: int, explained: bool, by_run: float | None, imitated: bool
 ) -> None:
-    wide = error(1.38)
-    evidence = DriftEvidence(over_time, lambda: explained, lambda: wide, lambda: by_run)
+    evidence = DriftEvidence(
+        unknowns, values, lambda: explained, lambda: error(1.38), lambda: by_run and error(by_run)
+    )
     assert judge.imitates_drift(evidence, CRITERIA) == imitated
 
 
