@@ -142,6 +142,7 @@ def _contradiction(evaluated: Evaluated, differing: Sequence[str]) -> str:
     outcome, criteria = evaluated.outcome, evaluated.test.criteria
     if not outcome.selected and outcome.verdict != "no_effect":
         return ""
+    evaluated = _with_ranges(evaluated)
     evidence = _evidence(evaluated, differing)
     if outcome.selected:
         reason = contradiction_of_names(evidence, outcome.explained, criteria)
@@ -154,6 +155,21 @@ def _contradiction(evaluated: Evaluated, differing: Sequence[str]) -> str:
             reason = contradiction_of_names(evidence, outcome.explained, criteria)
         return reason
     return contradiction_of_no_effect(evidence, criteria)
+
+
+def _with_ranges(evaluated: Evaluated) -> Evaluated:
+    """Return an evaluation whose refitted machine has the ranges of saturated sensors too, which need no search.
+
+    Otherwise the effects of the search would be credited with what the ends of these ranges explain.
+    """
+    searched, before = evaluated.outcome.after.machine, evaluated.before.machine
+    known = {e.label for e in searched.effects}
+    ranges = {e.label: e for e in evaluated.after.machine.effects if e.label not in known}
+    if not ranges:
+        return evaluated
+    others = tuple(e for e in before.effects if e.label not in ranges)
+    limited = before.replace(effects=(*others, *ranges.values()))
+    return evaluated._replace(before=evaluated.test.errors(limited, evaluated.outcome.data))
 
 
 def _evidence(evaluated: Evaluated, differing: Sequence[str]) -> Evidence:
