@@ -156,6 +156,14 @@ def test_a_machine_that_explains_the_data_is_fitted_run_by_run(
     assert scripted_search.run().after.observers == expected
 
 
+def test_held_out_runs_judge_with_the_observer_of_the_search(scripted_search: ScriptedSearch) -> None:
+    """Also where the final fit is one in simulation, which shows chance gains of effects that the observer denies."""
+    scripted_search.effects, scripted_search.after = (selected(PUSH),), 1.2
+    scripted_search.simulated = 1.1
+    outcome = scripted_search.run()
+    assert (outcome.after.bandwidth, outcome.bandwidth) == (0.0, 30.0)
+
+
 WARM_UP = EFFECTS["friction_warm_up"].at("machine", a=0.5, tau=30.0)
 
 

@@ -297,8 +297,8 @@ def without_unconfirmed(outcome: SearchOutcome, validation: Dataset, log: Log) -
         runs = refine_dataset(validation, after.machine, data)
         shown = {
             s.effect.label: HeldOutEffect(
-                held_out_gain(s, after.machine, runs, after.bandwidth),
-                is_excited(s, after.machine, runs, after.bandwidth),
+                held_out_gain(s, after.machine, runs, outcome.bandwidth),
+                is_excited(s, after.machine, runs, outcome.bandwidth),
             )
             for s in selected
         }

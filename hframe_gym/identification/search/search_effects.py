@@ -56,6 +56,8 @@ class SearchOutcome(NamedTuple):
         data: Runs that the machines were fitted to.
         contradiction: Name of the run that was left out because it contradicts the others; None if all were used.
         unfinished: What the search did when its budget ended, in words; "" if it is complete.
+        bandwidth: Bandwidth of the observer with which the search judged effects, rad/s; `after` may have been fitted
+            in simulation since.
     """
 
     before: Fit
@@ -68,6 +70,7 @@ class SearchOutcome(NamedTuple):
     data: Dataset
     contradiction: str | None = None
     unfinished: str = ""
+    bandwidth: float = SIMULATION
 
 
 Confirmed = Callable[[SearchOutcome], bool]  # whether held-out runs confirm an outcome
@@ -320,7 +323,7 @@ class _Search:
             start: Fit | None = after
             for effect in over_time:
                 start = start and without_effect(start, effect.label, self._data, self.before.machine)
-            return start and best_by_run(start, self._data)
+            return None if start is None else best_by_run(start, self._data)
 
         def error_by_run() -> FitError | None:
             found = by_run()
@@ -365,10 +368,19 @@ class _Search:
     ) -> SearchOutcome:
         """Return the outcome, with machines that are fitted again: in simulation, and run by run, if that is better."""
         before_explains, explained = self._explains(self.before), self._explains(after)
+        judged = next((found for found, refined in self._refinements if refined is after), after)
         before, after = (self._final(f) for f in (self.before, after))
         selected = tuple(s.with_values(after.machine) for s in selected)
         return SearchOutcome(
-            before, before_explains, explained, verdict, after, selected, considered, self._data_after
+            before,
+            before_explains,
+            explained,
+            verdict,
+            after,
+            selected,
+            considered,
+            self._data_after,
+            bandwidth=judged.bandwidth,
         )
 
     def _final(self, fitted: Fit) -> Fit:
