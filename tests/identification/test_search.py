@@ -101,9 +101,7 @@ class ScriptedSearch:
             "contradicting_run": lambda fitted, data: script.suspect,
             "find_run_differences": lambda fitted, data, criteria: script.differences,
             "without_effect": lambda fitted, label, data, plain: fit_with(chi2=script.before),
-            "best_by_run": lambda fitted, data: (
-                script.differences and (script.differences.quantity, script.differences.chi2 * data.count)
-            ),
+            "best_by_run": lambda fitted, data: script.differences,
             "EffectSearch": FakeEffectSearch,
         }
         for name, function in replaced.items():

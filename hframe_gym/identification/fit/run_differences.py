@@ -193,19 +193,17 @@ def describe_run_differences(fitted: Fit, data: Dataset, criteria: SelectionCrit
     return (str(best),) if best else ()
 
 
-def best_by_run(fitted: Fit, data: Dataset) -> tuple[Quantity, float] | None:
+def best_by_run(fitted: Fit, data: Dataset) -> RunDifferences | None:
     """Return the quantity of which a value in each run leaves least, whether it explains the runs or not.
 
     Args:
         fitted: Machine from whose parameters the fits start.
-        data: Its runs, two or more.
+        data: Its runs, two or more (times, voltages, measurements, SI).
 
     Returns:
-        The quantity, and the sum of squared residuals with the widest observer, in units of the noise; None if the
-        machine diverges.
+        The quantity with its values; None if the machine diverges.
     """
-    fits = ((quantity, cost) for quantity, cost, _ in _fits_by_run(fitted, data) if math.isfinite(cost))
-    return min(fits, key=lambda found: found[1], default=None)
+    return min(_fits_by_run(fitted, data, fitted.chi2), key=lambda each: each.chi2, default=None)
 
 
 def _explanations(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> list[RunDifferences]:
@@ -215,20 +213,13 @@ def _explanations(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> li
     common = continue_fit(fitted, data, SEARCH_BANDWIDTH)
     if judge.one_value_explains(common.chi2, common.floor, criteria):
         return []
-    found: list[RunDifferences] = []
     # From the machine of the runs that agree: thresholds of effects may be lost in a compromise with a different run.
-    for quantity, cost, amounts in _fits_by_run(fitted, data):
-        if judge.one_value_explains(cost / data.count, common.floor, criteria):
-            relative = (amounts - amounts.min()).tolist()
-            in_time = sorted(zip(data.runs, relative, strict=True), key=lambda pair: float(pair[0].time_s[0]))
-            by_run = {run.name: amount for run, amount in in_time}
-            shared = float(amounts.min())
-            found.append(RunDifferences(quantity, by_run, common.chi2, cost / data.count, shared))
-    return found
+    found = _fits_by_run(fitted, data, common.chi2)
+    return [each for each in found if judge.one_value_explains(each.chi2, common.floor, criteria)]
 
 
-def _fits_by_run(fitted: Fit, data: Dataset) -> Iterator[tuple[Quantity, float, Array]]:
-    """Yield the most promising quantities, the cost with a value in each run, and these amounts, shape (runs,)."""
+def _fits_by_run(fitted: Fit, data: Dataset, chi2_before: float) -> Iterator[RunDifferences]:
+    """Yield the most promising quantities, each fitted with a value in each run."""
     model = _ModelByRun(fitted, data)
     start = model.linearize(model.start, Quantity("nothing"))
     if not math.isfinite(start.cost):
@@ -237,7 +228,11 @@ def _fits_by_run(fitted: Fit, data: Dataset) -> Iterator[tuple[Quantity, float, 
         _quantities(fitted.machine, model.free), key=lambda quantity: model.promise(start, quantity)
     )
     for quantity in promising[:_CANDIDATES]:
-        yield quantity, *model.fit(quantity)
+        cost, amounts = model.fit(quantity)
+        relative = (amounts - amounts.min()).tolist()
+        in_time = sorted(zip(data.runs, relative, strict=True), key=lambda pair: float(pair[0].time_s[0]))
+        by_run = {run.name: amount for run, amount in in_time}
+        yield RunDifferences(quantity, by_run, chi2_before, cost / data.count, float(amounts.min()))
 
 
 def _quantities(machine: Machine, free: Sequence[FreeParameter]) -> list[Quantity]:

@@ -124,7 +124,7 @@ def differs_alone(different_run: str | None, chi2: float, chi2_before: float) ->
     Args:
         different_run: Name of the run; None if several differ.
         chi2: Chi-squared per sample of all runs with a value of the quantity in each, dimensionless.
-        chi2_before: That with one value for all runs. An effect that one run excites more than others leaves less.
+        chi2_before: That with one value for all runs, dimensionless. An effect that one run excites leaves less.
     """
     return different_run if chi2_before > FAR * chi2 else None
 

@@ -19,7 +19,7 @@ from ..fit.model_error import (
     polish,
     refined_in_simulation,
 )
-from ..fit.run_differences import Quantity, RunDifferences, best_by_run, find_run_differences
+from ..fit.run_differences import RunDifferences, best_by_run, find_run_differences
 from ..fit.run_observers import fit_run_by_run
 from ..fit.slow_logs import fit_slow_log
 from ..fit.start_estimation import refine_dataset
@@ -319,7 +319,7 @@ class _Search:
         states = sum(bool(e.definition.initial_spread) for e in over_time) * len(self._data.runs)
 
         @cache
-        def by_run() -> tuple[Quantity, float] | None:
+        def by_run() -> RunDifferences | None:
             start: Fit | None = after
             for effect in over_time:
                 start = start and without_effect(start, effect.label, self._data, self.before.machine)
@@ -327,7 +327,7 @@ class _Search:
 
         def error_by_run() -> FitError | None:
             found = by_run()
-            return found and dataclasses.replace(self.base, cost=found[1]).error
+            return found and dataclasses.replace(self.base, cost=found.chi2 * self._data.count).error
 
         evidence = DriftEvidence(
             unknowns=sum(len(e.parameters) for e in over_time) + states,
@@ -337,7 +337,7 @@ class _Search:
             by_run=error_by_run,
         )
         found = imitates_drift(evidence, self._criteria) and by_run()
-        return found[0].name if found else ""
+        return found.quantity.name if found else ""
 
     @cached_property
     def _difference(self) -> RunDifferences | None:
