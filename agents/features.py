@@ -27,13 +27,13 @@ from numpy.typing import NDArray
 from hframe_gym.arrays import Array
 
 from ..controllers import (
-    MinimumEnergyTransfers,
     MotionModel,
     OperatingPointGrid,
     ParameterFilter,
     ParameterRatios,
     PreviewGains,
     SimulatedTransfers,
+    TransferDesign,
     scaled_machine,
 )
 from ..controllers.finite_horizon_control import VOLTAGE_CHANGE_WEIGHT
@@ -126,17 +126,17 @@ def feature_parameters(
 
 def _transfer_gains(model: MotionModel, period: float, transfers: Sequence[int]) -> dict[str, Any]:
     """Return the gains for the first voltages of transfers to rest, designed at the center of the workspace."""
-    designed = MinimumEnergyTransfers(model, period)
+    designed = TransferDesign(model, period)
     _check_transfers(designed, transfers)
-    by_duration = designed.gains[_center(designed.grid), :, 0]  # (durations, drives, 2 n)
-    on_state = np.concatenate([by_duration[extra] / model.rated[:, None] for extra in transfers])
+    by_duration = designed.first_gains(transfers, [_center(designed.grid)])[0]  # (durations, drives, 2 n)
+    on_state = np.concatenate(by_duration / model.rated[:, None])
     return _as_lists(
         observation=on_state @ _state_of_observation(model),
         desired_goal=-on_state @ model.goal_state(np.diag(model.axis_radii)).T,
     )
 
 
-def _check_transfers(designed: MinimumEnergyTransfers, transfers: Sequence[int]) -> None:
+def _check_transfers(designed: TransferDesign, transfers: Sequence[int]) -> None:
     """Raise an error if a machine lacks transfers of given durations, in periods beyond the shortest."""
     longest = designed.longest - designed.shortest
     if not 0 <= min(transfers) <= max(transfers) <= longest:
@@ -306,15 +306,15 @@ class TransferBank:
     def __init__(self, machine: Machine, period: float, transfers: Sequence[int]) -> None:
         self._model = MotionModel(machine)
         self._grid = OperatingPointGrid(machine)
-        designed = MinimumEnergyTransfers(self._model, period)
+        designed = TransferDesign(self._model, period)
         _check_transfers(designed, transfers)
         if any(second <= first for first, second in pairwise(transfers)):
             raise InputError(f"transfers are {list(transfers)}; list durations in ascending order, each once")
-        gains = [designed.gains[:, list(transfers), 0]]
+        gains = [designed.first_gains(transfers)]
         for stiffness, mass in VARIANTS:
-            variant = MinimumEnergyTransfers(MotionModel(scaled_machine(machine, stiffness, mass)), period)
+            variant = TransferDesign(MotionModel(scaled_machine(machine, stiffness, mass)), period)
             extra_periods = np.minimum(transfers[:VARIANT_TRANSFERS], variant.longest - variant.shortest)
-            gains.append(variant.gains[:, extra_periods, 0])
+            gains.append(variant.first_gains(extra_periods.tolist()))
         self._gains = np.concatenate(gains, axis=1) / self._model.rated[:, None]  # (points, K, drives, 2 n)
         self._of_observation = _state_of_observation(self._model)
         self.size = self._gains.shape[1]

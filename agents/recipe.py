@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field, replace
 from importlib import resources
 from typing import Any
 
-from ..controllers import MinimumEnergyTransfers, MotionModel
+from ..controllers import MotionModel, TransferDesign
 from ..envs import TASKS, EnvConfig, Task, as_task
 from ..errors import InputError, suggestion
 from ..machine import METERS, AxisUnit, Machine
@@ -131,7 +131,7 @@ def require_transfers(recipe: Recipe, machine: Machine, task: str) -> None:
     needed, task = recipe.longest_transfer, recipe_task(task)
     if needed < 0:
         return
-    designed = MinimumEnergyTransfers(MotionModel(machine), recipe.period)
+    designed = TransferDesign(MotionModel(machine), recipe.period)
     available = designed.longest - designed.shortest
     if needed <= available:
         return

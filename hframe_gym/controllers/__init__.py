@@ -36,7 +36,7 @@ from .base import (
 from .control_period import period_concern, shorter_period
 from .environment_controller import EnvironmentController
 from .estimation_model import ParameterRatios
-from .finite_horizon_control import MinimumEnergyTransfers, PreviewGains, PreviewTracker
+from .finite_horizon_control import MinimumEnergyTransfers, PreviewGains, PreviewTracker, TransferDesign
 from .input_compensation import DeadTime, InputInversion
 from .linear_motion import SimulatedTransfers
 from .model_based_controller import ModelBasedController
@@ -73,6 +73,7 @@ __all__ = [
     "SimulatedTransfers",
     "StateEstimator",
     "TextbookPID",
+    "TransferDesign",
     "UnitCheck",
     "check_period",
     "period_concern",

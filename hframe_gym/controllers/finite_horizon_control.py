@@ -30,6 +30,7 @@ References:
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -79,8 +80,8 @@ class TransferSelection(NamedTuple):
     volts: Array
 
 
-class MinimumEnergyTransfers:
-    """Feedback gains of minimum-energy transfers, for every operating point and every number of periods.
+class TransferDesign:
+    """Design of minimum-energy transfers at operating points: their durations, and the gains of their first periods.
 
     A transfer is a motion that brings the machine to rest at its goal. An operating point is a tool position at which
     the machine is linearized.
@@ -88,9 +89,6 @@ class MinimumEnergyTransfers:
     Attributes:
         shortest: Number of periods of the shortest transfer.
         longest: Number of periods of the longest transfer.
-        gains: Gains from the state error at the start of a transfer to its voltages, V/m and Vs/m, shape (points,
-            longest - shortest + 1, 1 + CHECKED_FINAL_PERIODS, drives, 2 n). Third axis: first period of the transfer,
-            then its last CHECKED_FINAL_PERIODS periods.
 
     Raises:
         InputError: If the period is not positive, or the machine's workspace has no range.
@@ -107,23 +105,66 @@ class MinimumEnergyTransfers:
         self.shortest = max(-(-states // inputs), round(SHORTEST_MODE_PERIODS * mode_period / period))
         longest_s = min(longest_transfer_s(model, self.grid), MAX_TRANSFER_S)
         self.longest = max(self.shortest + 1, int(np.ceil(longest_s / period)))
-        self._matrices = [model.discretize(point, period)[:2] for point in self.grid.points]
-        self.gains = self._design(*(np.stack(matrices) for matrices in zip(*self._matrices, strict=True)))
 
-    def _design(self, A: Array, B: Array) -> Array:
-        """Compute `gains` from A (points, 2 n, 2 n) and B (points, 2 n, inputs)."""
-        scale = state_scale(A.shape[1])
+    def first_gains(self, beyond: Sequence[int], points: Sequence[int] | None = None) -> Array:
+        """Compute the gains of the first period of some transfers.
+
+        Args:
+            beyond: Durations, in periods beyond the shortest transfer.
+            points: Indices of K operating points. Default: all.
+
+        Returns:
+            Gains from the state error to the voltages, V/m and Vs/m, shape (K, len(beyond), drives, 2 n).
+        """
+        chosen = range(len(self.grid.points)) if points is None else points
+        durations = [self.shortest + extra for extra in beyond]
+        costates = self._costates([self._discretized(point) for point in chosen], durations)
+        by_duration = {
+            N: -pulse.transpose(0, 2, 1) @ costate for N, pulse, costate in costates if N in durations
+        }
+        return np.stack([by_duration[N] for N in durations], axis=1)
+
+    def _costates(
+        self, matrices: Sequence[tuple[Array, Array]], durations: Collection[int]
+    ) -> Iterator[tuple[int, Array, Array]]:
+        """Yield N = 1, 2, ..., the pulse response over N periods, and for each of the durations the error's costate.
+
+        The voltages of a transfer of N periods are minus the transposed pulse responses times its costate.
+        """
+        A, B = (np.stack(by_point) for by_point in zip(*matrices, strict=True))
+        scale, costate = state_scale(A.shape[1]), np.zeros(0)
+        for N, (pulse, W, power) in enumerate(reachability(A, B, max(durations)), 1):
+            if N in durations:
+                costate = np.linalg.pinv(W, rcond=1e-15, hermitian=True) @ power / scale
+            yield N, pulse, costate
+
+    def _discretized(self, point: int) -> tuple[Array, Array]:
+        """Return the system matrix and the input matrix of the voltages at an operating point."""
+        return self.model.discretize(self.grid.points[point], self.period)[:2]
+
+
+class MinimumEnergyTransfers(TransferDesign):
+    """Feedback gains of minimum-energy transfers, for every operating point and every number of periods.
+
+    Attributes:
+        gains: Gains from the state error at the start of a transfer to its voltages, V/m and Vs/m, shape (points,
+            longest - shortest + 1, 1 + CHECKED_FINAL_PERIODS, drives, 2 n). Third axis: first period of the transfer,
+            then its last CHECKED_FINAL_PERIODS periods.
+    """
+
+    def __init__(self, model: MotionModel, period: float) -> None:
+        super().__init__(model, period)
+        self._matrices = [self._discretized(point) for point in range(len(self.grid.points))]
         back: list[Array] = []  # B' A'^j
         gains = []
-        for N, (pulse, W, power) in enumerate(reachability(A, B, self.longest), 1):
+        for N, pulse, costate in self._costates(self._matrices, range(self.shortest, self.longest + 1)):
             back.append(pulse.transpose(0, 2, 1))
             if self.shortest > N:
                 continue
-            error_to_costate = np.linalg.pinv(W, rcond=1e-15, hermitian=True) @ power / scale
             # Transfers shorter than CHECKED_FINAL_PERIODS repeat their first period.
             rows = [back[-1]] + [back[min(j, N - 1)] for j in reversed(range(CHECKED_FINAL_PERIODS))]
-            gains.append(np.stack([-row @ error_to_costate for row in rows], axis=1))
-        return np.stack(gains, axis=1)
+            gains.append(np.stack([-row @ costate for row in rows], axis=1))
+        self.gains = np.stack(gains, axis=1)
 
     def select(
         self,

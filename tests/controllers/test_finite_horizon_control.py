@@ -13,6 +13,7 @@ from hframe_gym.controllers import (
     OperatingPointGrid,
     PreviewGains,
     TextbookPID,
+    TransferDesign,
 )
 from hframe_gym.controllers.finite_horizon_control import VOLTAGE_CHANGE_WEIGHT
 from hframe_gym.dynamics import rollout, simulate
@@ -59,6 +60,12 @@ def test_replanning_continues_the_transfer(transfers: MinimumEnergyTransfers) ->
     first = transfers.select(error, goal, LIMITS, at_least)
     second = transfers.select(error @ A.T + first.volts @ B.T, goal, LIMITS, at_least)
     assert second.periods[0] == first.periods[0] - 1
+
+
+def test_gains_of_some_transfers_are_those_of_the_complete_design(transfers: MinimumEnergyTransfers) -> None:
+    """Durations and operating points may be in any order."""
+    some = TransferDesign(transfers.model, transfers.period).first_gains([12, 0], [31, 5])
+    np.testing.assert_array_equal(some, transfers.gains[[31, 5]][:, [12, 0], 0])
 
 
 def test_longer_distances_take_longer(transfers: MinimumEnergyTransfers) -> None:
