@@ -203,7 +203,8 @@ def best_by_run(fitted: Fit, data: Dataset) -> RunDifferences | None:
     Returns:
         The quantity with its values; None if the machine diverges.
     """
-    return min(_fits_by_run(fitted, data, fitted.chi2), key=lambda each: each.chi2, default=None)
+    found = (each for each in _fits_by_run(fitted, data, fitted.chi2) if math.isfinite(each.chi2))
+    return min(found, key=lambda each: each.chi2, default=None)
 
 
 def _explanations(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> list[RunDifferences]:
