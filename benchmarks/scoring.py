@@ -204,9 +204,12 @@ def score_names(hidden: Sequence[DrawnEffect], verdict: str, named: Mapping[str,
     for effect in hidden:
         if effect.in_library:
             groups = accepted_classes(effect)
-            identified.append(effect.absorbed or any(set(group) <= all_named for group in groups))
             accepted = {name for group in groups for name in group}
-            labels = [label for label in named if classes[label] & accepted]
+            labels = [label for label in named if classes[label] & accepted or label in effect.tables]
+            described = any(label in effect.tables for label in labels)
+            identified.append(
+                effect.absorbed or described or any(set(group) <= all_named for group in groups)
+            )
         else:
             labels = [
                 label for label in named if any(fnmatch(label, escaped(p)) for p in effect.accepted if p)

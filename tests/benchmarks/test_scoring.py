@@ -99,3 +99,11 @@ def test_score_of_effects_outside_the_library_and_of_absorbed_ones():
     assert score_names([frame], "effect_found", {"added_mode@x_m": []}) == NameScore((True,), ())
     gain = _effect("gain_mismatch@motor1", absorbed=True)
     assert score_names([gain], "no_effect", {}) == NameScore((True,), ())
+
+
+def test_a_table_that_describes_an_effect_off_the_librarys_form_identifies_it():
+    """A constant force with a part that depends on the position is a force over the position."""
+    table = "smooth_force[position of x]@x"
+    force = _effect("constant_force@x", tables=(table,))
+    assert score_names([force], "effect_found", {table: []}) == NameScore((True,), ())
+    assert score_names([_effect("constant_force@x")], "effect_found", {table: []}).extra == (table,)

@@ -113,6 +113,7 @@ class DrawnEffect:
         accepted: Labels that identify an effect outside the library; "" for the verdict "unexplained".
         absorbed: Whether refitting the declared parameters explains the effect, so that naming none is correct too.
         off_form: How the effect differs from the library's form; empty if it does not.
+        tables: Labels of tables that describe such an effect completely, so that they identify it as well.
     """
 
     name: str
@@ -124,6 +125,7 @@ class DrawnEffect:
     accepted: tuple[str, ...] = ()
     absorbed: bool = False
     off_form: str = ""
+    tables: tuple[str, ...] = ()
 
     @property
     def label(self) -> str:
@@ -424,6 +426,7 @@ def draw_off_form(rng: np.random.Generator) -> DrawnEffect:
         effect.parameters,
         effect.scales_with,
         off_form=text.format(deviation),
+        tables=(f"smooth_force[position of {site}]@{site}",) if name == "constant_force" else (),
     )
 
 
