@@ -36,9 +36,9 @@ def test_classify(rig, verdict, named, score):
     assert classify(RIGS[rig], verdict, named) == score
 
 
-def _effect(label, *, accepted=(), absorbed=False):
+def _effect(label, **fields):
     name, site = label.split("@")
-    return DrawnEffect(name, site, 1.0, lambda rig, sensors: (rig, sensors), {}, {}, accepted, absorbed)
+    return DrawnEffect(name, site, 1.0, lambda rig, sensors: (rig, sensors), {}, {}, **fields)
 
 
 @pytest.mark.parametrize(
