@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
 
 import numpy as np
@@ -13,6 +14,7 @@ from hframe_gym.identification import STRATEGIES, Candidate, SearchState, defaul
 from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH
 from hframe_gym.identification.propose.candidates import candidates
 from hframe_gym.identification.propose.trial_fits import _ranked_candidates
+from hframe_gym.machine import Machine
 from tests.identification.axis_results import AXIS, axis_runs
 
 pytestmark = pytest.mark.unit
@@ -60,6 +62,16 @@ def test_nothing_is_proposed_that_the_machine_has(state: SearchState) -> None:
     assert SearchState(RIG, state.data, state.scales, state.missing_force).sites(FRICTION) == ()
     assert state.sites(EFFECTS["presliding"]) == ()
     assert all(state.sites(effect) == () for effect in EFFECTS.values() if effect.refitted)
+
+
+@pytest.mark.parametrize(("band", "sites"), [("drives", ("motor1", "motor2")), ("motor1", ()), ("", ())])
+def test_a_gain_is_proposed_before_a_dead_band_that_all_drives_share(
+    hframe: Machine, state: SearchState, band: str, sites: tuple[str, ...]
+) -> None:
+    """Otherwise it is a torque constant, and another dead band at one of the drives."""
+    banded = hframe.with_effects(*([EFFECTS["dead_band"].at(band, Vd=0.2, drop=1.0)] if band else []))
+    of_stage = dataclasses.replace(state, machine=banded)
+    assert of_stage.sites(EFFECTS["gain_mismatch"]) == sites
 
 
 @pytest.mark.parametrize("values", [{}, {"L": 0.01, "A": 0.1}])

@@ -147,11 +147,12 @@ class SearchState:
     def sites(self, effect: Effect) -> tuple[str, ...]:
         """Return the sites at which the machine may lack an effect, and where a strategy may propose it.
 
-        There is none for effects that a refit of the machine's parameters can represent, and for those that replace a
-        part of the model (they add coordinates or replace dry friction), which `screening.screen_structures` tries.
-        Left out are sites where the machine has the effect, or lacks another one that it requires.
+        There is none for those that replace a part of the model (they add coordinates or replace dry friction), which
+        `screening.screen_structures` tries. Effects that a refit of the machine's parameters can represent have sites
+        only where an effect of all drives follows: a gain before a dead band is no torque constant behind it, unless
+        each drive may have a dead band of its own. Left out are sites where the machine has the effect, or lacks another one that it requires.
         """
-        if effect.replaces_model_part or effect.refitted:
+        if effect.replaces_model_part:
             return ()
         present = {e.label for e in self.machine.effects}
         return tuple(
@@ -159,7 +160,14 @@ class SearchState:
             for site in effect_sites(effect, self.machine)
             if f"{effect.name}@{site}" not in present
             and (not effect.requires or f"{effect.requires}@{site}" in present)
+            and not (effect.refitted and not self._is_followed(effect, site))
         )
+
+    def _is_followed(self, effect: Effect, site: str) -> bool:
+        """Return whether an effect that several drives share changes the voltage after another effect of one of them."""
+        after = (e for e in self.machine.effects if e.definition.signal_order > effect.signal_order)
+        shared = any(e.definition.voltage is not None and e.site == "drives" for e in after)
+        return shared and site != "drives" and len(self.machine.drives) > 1
 
     def sizes(self, effect: Effect, site: str) -> Mapping[str, float]:
         """Return the typical sizes, SI, at a site of an effect, by unit of its parameters (`TypicalScales.of`)."""
