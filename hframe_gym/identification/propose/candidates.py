@@ -150,7 +150,8 @@ class SearchState:
         There is none for those that replace a part of the model (they add coordinates or replace dry friction), which
         `screening.screen_structures` tries. Effects that a refit of the machine's parameters can represent have sites
         only where an effect of all drives follows: a gain before a dead band is no torque constant behind it, unless
-        each drive may have a dead band of its own. Left out are sites where the machine has the effect, or lacks another one that it requires.
+        each drive may have a dead band of its own. Left out are sites where the machine has the effect, or lacks
+        another one that it requires.
         """
         if effect.replaces_model_part:
             return ()
@@ -164,7 +165,7 @@ class SearchState:
         )
 
     def _is_followed(self, effect: Effect, site: str) -> bool:
-        """Return whether an effect that several drives share changes the voltage after another effect of one of them."""
+        """Return whether an effect that several drives share changes the voltage after an effect of one drive."""
         after = (e for e in self.machine.effects if e.definition.signal_order > effect.signal_order)
         shared = any(e.definition.voltage is not None and e.site == "drives" for e in after)
         return shared and site != "drives" and len(self.machine.drives) > 1
