@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
 import pytest
 
+from hframe_gym.dynamics import simulate_batch
 from hframe_gym.effects import EFFECTS
-from hframe_gym.identification import SelectionCriteria, identify
+from hframe_gym.identification import SelectionCriteria, identify, prepare
 from hframe_gym.identification.fit.missing_force import Dependence
 from hframe_gym.identification.judge.verdict import (
     Evidence,
@@ -17,7 +21,9 @@ from hframe_gym.identification.judge.verdict import (
     remaining,
 )
 from hframe_gym.identification.propose.dependences import are_causes
+from hframe_gym.identification.validate.evaluation import _with_fast_error
 from hframe_gym.machine import AppliedEffect, Machine
+from hframe_gym.recordings import Recording
 from tests.identification.axis_results import AXIS
 from tests.identification.test_pipeline import limited_runs
 
@@ -104,6 +110,30 @@ def test_fast_effects_are_named_beside_a_slow_force(
         50.0, 50.0, 0.01, 3e-4, 0.46, causes_named=causes, remaining_fast=fast, reduction=reduction
     )
     assert (contradiction_of_names(evidence, False, CRITERIA) == "") == named
+
+
+@pytest.mark.parametrize(("size", "reduction", "fast"), [(0.3, 1.0, 0.0), (0.6, 0.0, 1.0)])
+def test_right_effects_remove_the_square_of_what_they_change(
+    size: float, reduction: float, fast: float
+) -> None:
+    """Of an effect of twice the true size nothing remains; a slow force beside both changes little of that."""
+    cogging = EFFECTS["cogging"]
+    rng, time_s = np.random.default_rng(0), np.arange(1500) * 1e-3
+    volts = np.where(time_s > 0.1, 4.0 * np.sin(9.0 * time_s) + 2.0 * np.sin(23.0 * time_s), 0.0)[:, None]
+    slow = 0.05 * np.sin(1.5 * time_s)[None, :, None]
+    true = AXIS.with_effects(cogging.at("motor", A=0.3, n=40.0, p=0.0))
+    readings = simulate_batch(true, time_s, volts, extra_force=slow, longest_step=0.125e-3).readings[0]
+    data = prepare([Recording("run", time_s, volts, readings + rng.normal(0.0, 2e-6, readings.shape))], AXIS)
+    named = AXIS.with_effects(cogging.at("motor", A=size, n=40.0, p=0.0))
+    evaluated: Any = SimpleNamespace(
+        test=SimpleNamespace(validation=data),
+        validation=data,
+        before=SimpleNamespace(machine=AXIS),
+        after=SimpleNamespace(machine=named),
+    )
+    found = _with_fast_error(EXACT, evaluated, ())
+    assert found.reduction == pytest.approx(reduction, abs=0.15)
+    assert found.remaining_fast == pytest.approx(fast, abs=0.15)
 
 
 @pytest.mark.parametrize(
