@@ -7,6 +7,7 @@ lock was left by a killed process. Everything here works on Linux, macOS and Win
 
 from __future__ import annotations
 
+import errno
 import io
 import os
 import secrets
@@ -305,7 +306,7 @@ def locked_folder(folder: str | Path) -> Iterator[Path]:
     stage = _Stage(path / STAGE)
     try:
         with _naming(Path(folder)):
-            path.mkdir(parents=True, exist_ok=True)
+            _make_folder(path)
             with stage.locked(wait=False) as mine:
                 if not mine:
                     problem = "another hframe command is writing to this folder; wait or choose another one"
@@ -413,8 +414,17 @@ def _in_use(error: OSError) -> bool:
 
 def _with_parents(path: Path) -> Path:
     """Create the folder of a file, and the folders above it, where they do not exist; return the path of the file."""
-    path.parent.mkdir(parents=True, exist_ok=True)
+    _make_folder(path.parent)
     return path
+
+
+def _make_folder(path: Path) -> None:
+    """Create a folder and those above it where they do not exist; an error says which of them is a file."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError):
+        file = next(p for p in (path, *path.parents) if p.exists() and not p.is_dir())
+        raise NotADirectoryError(errno.ENOTDIR, "is a file, but must be a folder", str(file)) from None
 
 
 @contextmanager

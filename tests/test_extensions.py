@@ -150,8 +150,7 @@ def toys() -> Iterator[None]:
 def with_toys(machine: Machine) -> Machine:
     """Return a machine with the toy effect at x, and the toy sensor kind at x_m."""
     counter = dataclasses.replace(machine.sensor("x_m"), kind="toy-counter", resolution=1e-3, noise=1e-5)
-    sensors = tuple(counter if s.channel == "x_m" else s for s in machine.sensors)
-    return machine.replace(sensors=sensors).with_effects(TOY_EFFECT.at("x", k=5e4))
+    return machine.with_components(counter).with_effects(TOY_EFFECT.at("x", k=5e4))
 
 
 @pytest.fixture

@@ -43,14 +43,16 @@ def structure(machine: Machine, effect: AppliedEffect) -> Machine:
     yaw = Coordinate("yaw", values["J"], values["c"], kind="rotary", radius=values["w"])
     sides = _sides(machine)
     bridge, cart = machine.tool_axes
-    belts = tuple(
-        dataclasses.replace(b, extension={**b.extension, "yaw": sides[b.name]}) if b.name in sides else b
+    belts = [
+        dataclasses.replace(b, extension={**b.extension, "yaw": sides[b.name]})
         for b in machine.belts
-    )
-    sensors = tuple(
-        dataclasses.replace(s, row={**s.row, f"{cart}*yaw": s.row[bridge]}) if s.row.get(bridge) else s
+        if b.name in sides
+    ]
+    sensors = [
+        dataclasses.replace(s, row={**s.row, f"{cart}*yaw": s.row[bridge]})
         for s in machine.sensors
-    )
+        if s.row.get(bridge)
+    ]
     ties = {
         "yaw.mass": ("J", 1.0),
         "yaw.viscous": ("c", 1.0),
@@ -58,13 +60,7 @@ def structure(machine: Machine, effect: AppliedEffect) -> Machine:
         "yaw.radius": ("w", 1.0),
     }
     tied = {name: (f"{effect.label}.{key}", factor) for name, (key, factor) in ties.items()}
-    return dataclasses.replace(
-        machine,
-        coordinates=(*machine.coordinates, yaw),
-        belts=belts,
-        sensors=sensors,
-        ties={**machine.ties, **tied},
-    )
+    return machine.with_components(yaw, *belts, *sensors, ties=tied)
 
 
 EFFECT = Effect(

@@ -42,18 +42,15 @@ def structure(machine: Machine, effect: AppliedEffect) -> Machine:
     """
     carriage = machine.coordinate(effect.site)
     frame = Coordinate("frame", carriage.mass, kind="rotary", radius=1.0)
-    sensors = tuple(
+    sensors = [
         dataclasses.replace(s, row={**s.row, "frame": s.row[carriage.name]})
-        if s.coordinate == carriage.name
-        else s
         for s in machine.sensors
-    )
+        if s.coordinate == carriage.name
+    ]
     mass, factor = machine.ties.get(f"{carriage.name}.mass", (f"{carriage.name}.mass", 1.0))
     ties = {"frame.mass": (mass, factor)}
     ties |= {f"frame.{friction}": (f"{effect.label}.zeta", 0.0) for friction in ("viscous", "coulomb")}
-    return dataclasses.replace(
-        machine, coordinates=(*machine.coordinates, frame), sensors=sensors, ties={**machine.ties, **ties}
-    )
+    return machine.with_components(frame, *sensors, ties=ties)
 
 
 EFFECT = Effect(

@@ -76,13 +76,8 @@ def structure(machine: Machine, effect: AppliedEffect) -> Machine:
     belts = [
         dataclasses.replace(b, extension=behind(b.extension), length=behind(b.length)) for b in machine.belts
     ]
-    belts.append(Belt(teeth, values["K"] * per_travel, 1.0, {near: 1.0, far: -1.0}))
-    return dataclasses.replace(
-        machine,
-        coordinates=(*(motor if c.name == near else c for c in machine.coordinates), load),
-        belts=tuple(belts),
-        ties={**machine.ties, **ties},
-    )
+    contact = Belt(teeth, values["K"] * per_travel, 1.0, {near: 1.0, far: -1.0})
+    return machine.with_components(motor, load, *belts, contact, ties=ties)
 
 
 EFFECT = Effect(

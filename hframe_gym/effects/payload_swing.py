@@ -52,8 +52,7 @@ def structure(machine: Machine, effect: AppliedEffect) -> Machine:
     load = Coordinate(name, carriage.mass, kind="rotary", radius=1.0)
     ties = {f"{name}.mass": (f"{carriage.name}.mass", 1.0)}
     ties |= {f"{name}.{friction}": (f"{effect.label}.zeta", 0.0) for friction in ("viscous", "coulomb")}
-    kept = (carriage if c.name == carriage.name else c for c in machine.coordinates)
-    return dataclasses.replace(machine, coordinates=(*kept, load), ties={**machine.ties, **ties})
+    return machine.with_components(carriage, load, ties=ties)
 
 
 def rigid(machine: Machine, effect: AppliedEffect) -> Machine:

@@ -228,10 +228,8 @@ def _with_sensor(machine: Machine, coordinate: str, **fields: Any) -> Machine:
     channel = _sensor_of(machine, coordinate)
     if not channel:
         unit = machine.coordinate(coordinate).unit("position")
-        added = Sensor(f"{coordinate}_{unit}", {coordinate: 1.0}, **fields)
-        return machine.replace(sensors=(*machine.sensors, added))
-    changed = [dataclasses.replace(s, **fields) if s.channel == channel else s for s in machine.sensors]
-    return machine.replace(sensors=tuple(changed))
+        return machine.with_components(Sensor(f"{coordinate}_{unit}", {coordinate: 1.0}, **fields))
+    return machine.with_components(dataclasses.replace(machine.sensor(channel), **fields))
 
 
 def _with_range(machine: Machine, channel: str, low: float, high: float) -> Machine:

@@ -18,7 +18,7 @@ from typing_extensions import override
 
 from ..atomic_files import atomic_file, output_batch
 from ..errors import InputError
-from ..machine import Coordinate, Machine, rest_state
+from ..machine import Coordinate, Machine, rest_positions_per_axis, rest_state
 from ..recordings import load_machine, machine_to_dict
 from ..registry import Registry
 
@@ -250,25 +250,33 @@ def operating_point(machine: Machine, at: Sequence[str] | None) -> NDArray[np.fl
     """Convert the option --at to the positions of all coordinates, with unstretched belts.
 
     Args:
-        at: Items "AXIS=METERS" of linear coordinates; the others are at 0. None: none.
+        at: Items "AXIS=POSITION" of linear coordinates, m, or, on a machine without any, of the tool's axes, rad; the
+            others are at 0. None: none.
 
     Returns:
         Position of every coordinate, m or rad, shape (coordinates,).
 
     Raises:
-        InputError: If an item names no linear coordinate, or its value is not a number.
+        InputError: If an item names no such axis, or its value is not a number in the axis' range.
     """
-    linear = {c.name: 0.0 for c in machine.coordinates if c.kind == "linear"}
+    linear = [c.name for c in machine.coordinates if c.kind == "linear"]
+    positions = dict.fromkeys(linear or machine.tool_axes, 0.0)
     for item in at or ():
         name, _, value = item.partition("=")
-        if name not in linear:
+        if name not in positions:
             raise InputError(
-                f"--at {item}: write AXIS=METERS with one of the axes {', '.join(linear) or '(none)'}"
+                f"--at {item}: write AXIS=POSITION with one of the axes {', '.join(positions) or '(none)'}"
             )
+        axis = machine.coordinate(name)
         try:
-            linear[name] = float(value)
+            positions[name] = float(value)
         except ValueError:
-            raise InputError(f"--at {item}: {value!r} is not a number in meters") from None
-        if not np.isfinite(linear[name]):
-            raise InputError(f"--at {item}: the position must be finite")
-    return rest_state(machine, list(linear.values()) if linear else None)[: len(machine.coordinates)]
+            raise InputError(f"--at {item}: {value!r} is not a number in {axis.unit('position')}") from None
+        low, high = axis.range or (-np.inf, np.inf)
+        if not (low <= positions[name] <= high and np.isfinite(positions[name])):
+            raise InputError(
+                f"--at {item}: must be from {low:g} to {high:g} {axis.unit('position')}, the range of {name}"
+            )
+    if linear:
+        return rest_state(machine, list(positions.values()))[: len(machine.coordinates)]
+    return rest_positions_per_axis(machine) @ np.array(list(positions.values()))

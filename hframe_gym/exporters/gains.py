@@ -59,7 +59,7 @@ class GainsExporter(MachineExporter):
     """
 
     period: float = option(0.01, "Control period in seconds, 1e-5 to 10.")
-    at: list[str] | None = option(None, "Goal for which the state feedback is designed, as AXIS=METERS.")
+    at: list[str] | None = option(None, "Goal for which the state feedback is designed, as AXIS=POSITION.")
 
     @override
     def files(self, machine: Machine) -> Files:

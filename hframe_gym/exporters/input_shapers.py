@@ -96,7 +96,7 @@ def impulses(shaper: Shaper, frequency: float, damping: float) -> tuple[Array, A
 class InputShaperExporter(MachineExporter):
     """Base class of the exporters for printer firmware."""
 
-    at: list[str] | None = option(None, "Tool position of the modes, as AXIS=METERS; repeat for more axes.")
+    at: list[str] | None = option(None, "Tool position of the modes, as AXIS=POSITION; repeat for more axes.")
 
     def notes(self) -> list[str]:
         """Describe what the settings are for, in lines for a comment."""

@@ -27,7 +27,7 @@ class MjcfExporter(MachineExporter):
     """
 
     at: list[str] | None = option(
-        None, "Operating point of the belt stiffness as AXIS=METERS; repeat for more axes."
+        None, "Operating point of the belt stiffness as AXIS=POSITION; repeat for more axes."
     )
     step: float = option(0.0005, "Integration step in seconds.")
     integrator: Literal["Euler", "implicitfast", "implicit", "RK4"] = option("Euler", "Integrator of MuJoCo.")

@@ -28,7 +28,7 @@ class StateSpaceExporter(MachineExporter):
     """
 
     at: list[str] | None = option(
-        None, "Operating point as AXIS=METERS, for example x=0.1; repeat for more axes."
+        None, "Operating point as AXIS=POSITION, for example x=0.1; repeat for more axes."
     )
 
     @override

@@ -33,6 +33,8 @@ from .declaration import FIXED_UNITS, UNITS, Component, Variant
 from .effect import AppliedEffect, SiteKind
 from .trajectory import SIMULATORS, Trajectory
 
+_COMPONENTS = {Coordinate: "coordinates", Belt: "belts", Drive: "drives", Sensor: "sensors"}
+
 
 class Contact(NamedTuple):
     """Contact of two coordinates whose stiffness is far above that of belts.
@@ -128,6 +130,10 @@ class Machine:
         """Return the coordinate with a name; a ValueError lists the names if there is none."""
         return self.coordinates[self.coordinate_names.index(name)]
 
+    def belt(self, name: str) -> Belt:
+        """Return the belt with a name; a ValueError lists the names if there is none."""
+        return self.belts[[b.name for b in self.belts].index(name)]
+
     def drive(self, name: str) -> Drive:
         """Return the drive with a name; a ValueError lists the names if there is none."""
         return self.drives[[d.name for d in self.drives].index(name)]
@@ -207,7 +213,7 @@ class Machine:
             case "drive":
                 return self.drive(sensor.coordinate).coordinate
             case "belt":
-                [extension] = [belt.extension for belt in self.belts if belt.name == sensor.coordinate]
+                extension = self.belt(sensor.coordinate).extension
                 return max(extension, key=lambda name: abs(extension[name]))
         return sensor.coordinate
 
@@ -379,9 +385,25 @@ class Machine:
         def with_values(parts: Sequence[Any]) -> tuple[Any, ...]:
             return tuple(_with_values(part, values) if part.label in changed else part for part in parts)
 
-        parts = ("coordinates", "belts", "drives", "sensors", "effects")
+        parts = (*_COMPONENTS.values(), "effects")
         new: dict[str, Any] = {name: with_values(getattr(self, name)) for name in parts} | fields
         return dataclasses.replace(self, **new)
+
+    def with_components(
+        self, *components: Component, ties: Mapping[str, tuple[str, float]] | None = None
+    ) -> Machine:
+        """Return a copy with other components in place of those of their type and name, or added where there are none.
+
+        Args:
+            *components: Coordinates, belts, drives and sensors, in any order.
+            ties: Ties to add to those of the machine (`ties`).
+        """
+        new: dict[str, Any] = {}
+        for kind, name in _COMPONENTS.items():
+            given = {c.label: c for c in components if isinstance(c, kind)}
+            kept = [given.pop(part.label, part) for part in getattr(self, name)]
+            new[name] = (*kept, *given.values())
+        return dataclasses.replace(self, ties={**self.ties, **(ties or {})}, **new)
 
     def with_effects(self, *effects: AppliedEffect) -> Machine:
         """Return a copy with additional effects, each at its site; some also add components (`Effect.structure`).

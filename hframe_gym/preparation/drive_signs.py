@@ -56,13 +56,12 @@ def turned_coordinates(machine: Machine, runs: Sequence[PreparedRecording]) -> t
 
 def with_turned(machine: Machine, coordinates: Sequence[str]) -> Machine:
     """Return a machine whose sensors of some coordinates count the other way."""
-    sensors = tuple(
+    turned = [
         dataclasses.replace(s, row={name: -factor for name, factor in s.row.items()})
-        if _counts(machine, s, coordinates)
-        else s
         for s in machine.sensors
-    )
-    return machine.replace(sensors=sensors)
+        if _counts(machine, s, coordinates)
+    ]
+    return machine.with_components(*turned)
 
 
 def _counts(machine: Machine, sensor: Sensor, coordinates: Sequence[str]) -> bool:

@@ -64,7 +64,8 @@ def load_machine(source: str | Path | Machine) -> Machine:
         content = MachineFile.model_validate_json(text)
     except ValidationError as error:
         first = _cause(error.errors())
-        raise InputError(f"{path}: {_field_name(first['loc'], text)}: {_reason(first)}") from None
+        field = _field_name(first["loc"], text) or "is not a machine.json"
+        raise InputError(f"{path}: {field}: {_reason(first)}") from None
     return MachineReader(path, content).machine()
 
 
@@ -169,7 +170,7 @@ def _field_name(location: tuple[int | str, ...], text: str) -> str:
         if isinstance(key, int):
             names = value if isinstance(value, dict) else {}
             labels[-1] = str(names.get("name", names.get("channel", f"entry {key + 1}")))
-    return ".".join(labels) or "file"
+    return ".".join(labels)
 
 
 def _cause(errors: Sequence[Any]) -> Any:

@@ -105,9 +105,8 @@ def load_recordings(
         raise InputError(f"{path}: {advice if path.exists() else 'no such folder'}")
     files = recording_files(path)
     if not files:
-        advice = (
-            f"; logs of other formats become runs with {import_command(path)}" if any(path.iterdir()) else ""
-        )
+        others = f"; logs of other formats become runs with {import_command(path)}"
+        advice = others if any(path.iterdir()) else "; it is empty"
         raise InputError(f"{path}: no recordings ({', '.join(SUFFIXES)}) in this folder{advice}")
     for first, second in pairwise(sorted(files, key=run_name)):
         if run_name(first) == run_name(second):

@@ -47,7 +47,7 @@ def read_table(
             file, row and column.
     """
     if not path.is_file():
-        raise InputError(f"{path}: no such file")
+        raise InputError(f"{path}: {'is a folder, give one file of it' if path.is_dir() else 'no such file'}")
     if path.suffix != ".parquet":
         return _read_csv(path, progress, max_rows)
     table = _read_parquet(path, max_rows)

@@ -229,9 +229,9 @@ def test_typed_keywords_are_those_of_the_configuration():
 
 def test_a_machine_without_range_is_refused_with_advice():
     machine = BUILTIN_MACHINES["hframe"]()
-    unlimited = [dataclasses.replace(c, range=None) if c.name == "x" else c for c in machine.coordinates]
+    unlimited = dataclasses.replace(machine.coordinate("x"), range=None)
     with pytest.raises(InputError, match=r"coordinate 'x' has no range.*Add .range.: \[low, high\]"):
-        HFrameEnv(machine=machine.replace(coordinates=tuple(unlimited)))
+        HFrameEnv(machine=machine.with_components(unlimited))
 
 
 @pytest.mark.parametrize("make", [HFrameEnv, HFrameVectorEnv])

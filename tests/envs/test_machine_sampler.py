@@ -109,11 +109,9 @@ def test_limits_follow_from_the_sign_of_the_nominal_value():
 
 
 def test_the_range_of_a_rotary_coordinate_limits_a_belt_by_its_travel():
-    coordinates = [
-        dataclasses.replace(c, range=(-10.0, 10.0)) if c.name == "phi1" else c for c in MACHINE.coordinates
-    ]
-    belts = [dataclasses.replace(b, length={"phi1": 1.0}) if b.name == "left" else b for b in MACHINE.belts]
-    space = ParameterSpace.of(MACHINE.replace(coordinates=tuple(coordinates), belts=tuple(belts)))
+    pulley = dataclasses.replace(MACHINE.coordinate("phi1"), range=(-10.0, 10.0))
+    left = dataclasses.replace(MACHINE.belt("left"), length={"phi1": 1.0})
+    space = ParameterSpace.of(MACHINE.with_components(pulley, left))
     rest_length, radius = MACHINE.parameters["left.rest_length"], MACHINE.parameters["phi1.radius"]
     assert space.lower[space.names.index("left.rest_length")] == pytest.approx(
         0.05 * rest_length + 10.0 * radius
@@ -184,8 +182,7 @@ def fixed(name, value):
 
 def with_sensor(machine=MACHINE, **fields):
     """Return the machine with other fields of its sensor x_m."""
-    sensors = [dataclasses.replace(s, **fields) if s.channel == "x_m" else s for s in machine.sensors]
-    return machine.replace(sensors=tuple(sensors))
+    return machine.with_components(dataclasses.replace(machine.sensor("x_m"), **fields))
 
 
 @pytest.mark.parametrize(("field", "value"), [("noise", 1e-3), ("resolution", 5e-4)])

@@ -200,7 +200,7 @@ def test_declared_sensors_are_observed_in_the_order_of_the_state():
 def test_two_sensors_of_one_coordinate():
     machine = machine_with()
     scale = Sensor("x_scale_m", {"x": -1.0}, resolution=1e-3, kind="encoder")
-    machine = machine.replace(sensors=(*machine.sensors, scale))
+    machine = machine.with_components(scale)
     env, observed = run("machine", machine=machine)
     assert [e.name for e in env.entries[:5]] == ["x_m", "x_scale_m", "y", "phi1", "phi2"]
     assert env.observation_space["observation"].contains(observed["observation"][3].astype(np.float32))
@@ -240,10 +240,7 @@ class Coarse(SensorKind):
 
 def test_a_sensor_kind_of_another_file():
     machine = BUILTIN_MACHINES["hframe"]()
-    sensors = [
-        dataclasses.replace(s, kind="coarse-test") if s.channel == "y_m" else s for s in machine.sensors
-    ]
-    machine = machine.replace(sensors=tuple(sensors))
+    machine = machine.with_components(dataclasses.replace(machine.sensor("y_m"), kind="coarse-test"))
     envs = HFrameVectorEnv(4000, machine=machine, sensors="machine", privileged=True, task=OFF_CENTER)
     observation, _ = envs.reset(seed=0)
     error = observation["observation"][:, 1].astype(float) + observation["privileged"][:, 1]
@@ -266,7 +263,7 @@ def test_environments_that_were_never_reset_have_sensors_of_nominal_resolution(m
     monkeypatch.setattr(Coarse, "measure", staticmethod(measure))
     machine = BUILTIN_MACHINES["hframe"]()
     coarse = dataclasses.replace(machine.sensor("y_m"), kind="coarse-test", resolution=1e-3)
-    machine = machine.replace(sensors=tuple(coarse if s.channel == "y_m" else s for s in machine.sensors))
+    machine = machine.with_components(coarse)
     envs = HFrameVectorEnv(5, machine=machine, sensors="machine", autoreset_mode="Disabled")
     envs.reset(seed=0, options={"reset_mask": np.array([False, True, False, False, True])})
     envs.step(np.zeros((5, 2)))

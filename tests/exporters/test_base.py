@@ -99,9 +99,10 @@ def test_the_command_writes_what_the_library_does(tmp_path: Path, capsys: pytest
         (["klipper", "--shaper", "best", "--out", "x"], "'best' is not one of 'zv', 'mzv', 'ei'"),
         (
             ["state-space", "--at", "z=1", "--out", "x"],
-            "--at z=1: write AXIS=METERS with one of the axes x, y",
+            "--at z=1: write AXIS=POSITION with one of the axes x, y",
         ),
-        (["state-space", "--at", "x=left", "--out", "x"], "'left' is not a number"),
+        (["state-space", "--at", "x=left", "--out", "x"], "'left' is not a number in m"),
+        (["state-space", "--at", "x=9", "--out", "x"], "--at x=9: must be from .* m, the range of x"),
         (["c", "--prefix", "1st", "--out", "x"], "--prefix 1st: must be a letter"),
         (["c", "--period", "1e-9", "--out", "x"], "period"),
         (["mjcf", "--step", "0", "--out", "x"], "--step 0: must be from"),
@@ -174,6 +175,7 @@ def test_operating_points(hframe: Machine) -> None:
     point = operating_point(hframe, ["x=0.1", "y=-0.05"])
     assert point[:2].tolist() == [0.1, -0.05]
     assert (hframe.belt_matrix @ point).tolist() == pytest.approx([0.0] * 3)
+    assert operating_point(BUILTIN_MACHINES["pendulum"](), ["arm=3"]).tolist() == [3.0]
 
 
 @pytest.mark.parametrize("kind", ["c", "st", "gains", "fmu", "mjcf", "urdf"])

@@ -74,7 +74,7 @@ class Scripted:
             "residue_force": lambda fitted, data: self.residue.get(fitted.chi2, 0.1),
             "leave_one_out_gain": lambda a, b, data: self.confirmed * (a.cost - b.cost),
             "long_run_variance": lambda fitted, label, data: LongRunVariance(self.variance),
-            "validation_fault": lambda machine: self.fault,
+            "plausibility_fault": lambda machine: self.fault,
             "force_difference": lambda a, b, data: self.difference,
             "fit_with_model_error": lambda fitted, data: fitted,
             "with_probable_starts": lambda current, data, criteria: (current, data),

@@ -40,7 +40,7 @@ class Script:
             "likelihood_loss": lambda fitted, data: fitted.chi2,
             "long_run_variance": lambda fitted, label, data: LongRunVariance(self.variance),
             "leave_one_out_gain": lambda a, b, data: self.confirmed * (a.cost - b.cost),
-            "validation_fault": lambda machine: self.fault,
+            "plausibility_fault": lambda machine: self.fault,
             "is_excited": lambda *arguments: self.excited,
             "held_out_gain": lambda *arguments: self.held_out_gain,
             "_trials": self.trials,

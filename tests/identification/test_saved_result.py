@@ -122,9 +122,9 @@ def other_array(folder: Path) -> None:
 
 DAMAGES: dict[str, tuple[Damage, str]] = {
     "no report": (without("report.json"), "no report.json here"),
-    "empty report": (with_text("report.json", ""), "report.json: file: "),
-    "half a report": (cut("report.json"), "report.json: file: "),
-    "a list": (with_text("report.json", "[]"), "report.json: file: "),
+    "empty report": (with_text("report.json", ""), "report.json: is not valid: "),
+    "half a report": (cut("report.json"), "report.json: is not valid: "),
+    "a list": (with_text("report.json", "[]"), "report.json: is not valid: "),
     "not a text": (
         lambda f: (f / "report.json").write_bytes(b"\xff\xfe\x00"),
         "report.json: is not a text file",

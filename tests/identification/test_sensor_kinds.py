@@ -67,7 +67,7 @@ def runs(sensors: tuple[Sensor, ...], count: int = 4) -> list[Recording]:
 @pytest.fixture(scope="module")
 def stage_machine() -> Machine:
     machine = load_machine("hframe")
-    return machine.replace(sensors=(*machine.sensors, *ALL))
+    return machine.with_components(*ALL)
 
 
 def tension_of_left(stage: Stage) -> float:
@@ -149,9 +149,7 @@ def test_a_measured_belt_force_determines_the_torque_constant() -> None:
     """Without it, motion determines only the ratios of forces, masses and torque constants."""
     machine = load_machine("belt-axis")
     belt, drive = machine.belts[0].name, machine.drives[0].name
-    machine = machine.replace(
-        sensors=(*machine.sensors, Sensor("belt_N", {belt: 1.0}, 0.02, 0.0, "belt-force"))
-    )
+    machine = machine.with_components(Sensor("belt_N", {belt: 1.0}, 0.02, 0.0, "belt-force"))
     factor = 1.15
     names = [
         n for n in machine.parameters if n.rpartition(".")[2] in ("mass", "viscous", "coulomb", "EA", "Kt")
@@ -260,7 +258,7 @@ def test_a_controller_estimates_the_state_with_speeds(stage_machine: Machine) ->
         return float(np.sqrt(np.mean(np.square(errors[20:]))))
 
     machine = load_machine("hframe")
-    fast = machine.replace(sensors=(*machine.sensors, dataclasses.replace(ALL[0], noise=1e-4)))
+    fast = machine.with_components(dataclasses.replace(ALL[0], noise=1e-4))
     assert error(fast) < 0.7 * error(machine)
 
 

@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 
 from hframe_gym.effects import EFFECTS
-from hframe_gym.machine import BUILTIN_MACHINES, SENSOR_KINDS, SIMULATORS, Machine, observed_coordinates
+from hframe_gym.machine import (
+    BUILTIN_MACHINES,
+    SENSOR_KINDS,
+    SIMULATORS,
+    Machine,
+    Sensor,
+    observed_coordinates,
+)
 from hframe_gym.registry import Registry
 
 
@@ -44,6 +51,16 @@ def test_replace_changes_device_parameters_by_name(hframe: Machine) -> None:
     assert changed.drives[0].converter_bits == 10
     with pytest.raises(KeyError, match=r"no parameter x_m\.color"):
         hframe.replace({"x_m.color": 1.0})
+
+
+def test_components_take_the_place_of_those_of_their_name_or_follow_the_others(hframe: Machine) -> None:
+    stiff = dataclasses.replace(hframe.belt("left"), EA=1e5)
+    angle = Sensor("y", {"y": 1.0})  # the name of a coordinate, which stays
+    changed = hframe.with_components(angle, stiff, ties={"right.EA": ("left.EA", 1.0)})
+    assert changed.belts == tuple(stiff if b.name == "left" else b for b in hframe.belts)
+    assert changed.sensors == (*hframe.sensors, angle)
+    assert changed.coordinates == hframe.coordinates
+    assert changed.ties == {**hframe.ties, "right.EA": ("left.EA", 1.0)}
 
 
 def test_encoders_are_incremental_and_lasers_are_not(hframe: Machine) -> None:

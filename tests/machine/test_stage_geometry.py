@@ -118,7 +118,7 @@ def test_drawn_sections_become_longer_as_their_belts_do(machine: Machine) -> Non
     position = {"x": 0.05, "y": 0.02}
     seen = set()
     for section, belt in geometry.belts.items():
-        declared = next(b for b in machine.belts if b.name == belt)
+        declared = machine.belt(belt)
         change = sum(factor * position[name] for name, factor in declared.length.items())
         sign = 1.0 if machine.belts[0].name == "belt1_short" or section.startswith("front") else -1.0
         assert moved[section] - start[section] == pytest.approx(sign * change, abs=1e-9), section

@@ -184,7 +184,9 @@ def test_a_missing_field_is_named_with_its_component(hframe: Machine, tmp_path: 
 
 def test_a_file_that_is_not_json_is_refused(tmp_path: Path) -> None:
     (tmp_path / "m.json").write_text("{ // comment")
-    with pytest.raises(InputError, match=r'm\.json: file: Invalid JSON.*write them as "comment"'):
+    with pytest.raises(
+        InputError, match=r'm\.json: is not a machine\.json: Invalid JSON.*write them as "comment"'
+    ):
         load_machine(tmp_path / "m.json")
 
 

@@ -33,7 +33,7 @@ from ..predict.free_parameters import prior_precision
 from ..predict.linearization import ResidualModel, RunLinearization
 from ..predict.prediction import block_size, map_runs
 from ..propose.candidates import covered_by_runs
-from .machine_validation import validation_fault
+from .plausibility import plausibility_fault
 
 # Variable of a coordinate, drive or belt by the name of an argument of an effect's formulas (`Effect`).
 _VARIABLES = {
@@ -202,7 +202,7 @@ def effect_evidence(without: Fit, with_effect: Fit, effect: AppliedEffect, data:
         with_effect=with_effect.error,
         structural=effect.definition.structure is not None,
         confirmed=lambda: leave_one_out_gain(without, with_effect, data),
-        fault=lambda: validation_fault(with_effect.machine),
+        fault=lambda: plausibility_fault(with_effect.machine),
         chance=lambda: _chance(without, with_effect, effect, data),
         chance_narrower=None if has_narrowest_observer(with_effect, data) else narrower,
         forces=lambda: _forces(without, with_effect, effect, data),

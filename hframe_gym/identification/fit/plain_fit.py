@@ -269,7 +269,7 @@ def _with_positions(
     speeds = np.array([s.of_velocity for s in machine.sensors], np.bool_)
     if machine.position_sensors.any() or not speeds.any():
         return machine, list(runs)
-    sensors = tuple(dataclasses.replace(s, kind="encoder") if s.of_velocity else s for s in machine.sensors)
+    encoders = [dataclasses.replace(s, kind="encoder") for s in machine.sensors if s.of_velocity]
 
     def integrated(run: PreparedRecording) -> PreparedRecording:
         """Integrate by trapezoids, across rows in which the sensor did not measure."""
@@ -277,7 +277,7 @@ def _with_positions(
         positions = cumulative_trapezoid(values, run.time_s, axis=0, initial=0.0)
         return dataclasses.replace(run, outputs=np.where(speeds, positions, run.outputs))
 
-    return machine.replace(sensors=sensors), [integrated(run) for run in runs]
+    return machine.with_components(*encoders), [integrated(run) for run in runs]
 
 
 def _balance(

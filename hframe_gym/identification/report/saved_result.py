@@ -251,7 +251,7 @@ def load_result(folder: Path) -> SavedResult:
         report = _Report.model_validate_json(text).model_dump(by_alias=True)
     except ValidationError as error:
         first = error.errors()[0]
-        field = ".".join(map(str, first["loc"])) or "file"
+        field = ".".join(map(str, first["loc"])) or "is not valid"
         raise _damaged(folder / "report.json", f"{field}: {first['msg']}") from None
     for name in ("machine.json", "declared.json"):
         if not newest(folder / name).is_file():

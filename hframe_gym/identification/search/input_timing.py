@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from ...machine import Effect, argument_names
 from ...preparation.dataset import Dataset
 from ..evidence.held_out import held_out_gain, is_excited
-from ..evidence.machine_validation import validation_fault
+from ..evidence.plausibility import plausibility_fault
 from ..evidence.rivals import close_rivals, simplest_first
 from ..evidence.significance import long_run_variance
 from ..evidence.tried_effects import ConsideredEffect, Log, SelectedEffect
@@ -85,7 +85,7 @@ def with_input_timing(
         wide=(current.cost, best.cost),
         variance=lambda: long_run_variance(best, effect.label, data),
         confirmed=lambda: leave_one_out_gain(current, best, data),
-        fault=lambda: validation_fault(best.machine),
+        fault=lambda: plausibility_fault(best.machine),
         held_out_denies=lambda: _denied(added, extended, refine_dataset(validation, extended.machine, data)),
     )
     doubt = doubt_about_timing(evidence, criteria)

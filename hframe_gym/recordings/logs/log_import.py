@@ -10,7 +10,7 @@ import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -180,7 +180,7 @@ def read_mapping_file(path: str | Path) -> MappingOptions:
         content = read_json(path) if is_json else tomllib.loads(read_document(path))
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise InputError(f"{path}: is not a valid TOML file: {error}") from None
-    tables: dict[str, dict[str, str | float]] = {"map": {}, "unit": {}, "scale": {}}
+    tables: dict[str, dict[str, Any]] = {"map": {}, "unit": {}, "scale": {}}
     contents = "a mapping file may have map, unit and scale, each with entries CHANNEL = VALUE"
     if not isinstance(content, dict):
         raise InputError(f"{path}: has no tables; {contents}")
@@ -194,8 +194,12 @@ def read_mapping_file(path: str | Path) -> MappingOptions:
         channel: parse_factor(f"{path}, scale.{channel}", factor)
         for channel, factor in tables["scale"].items()
     }
-    columns, units = ({c: str(value) for c, value in tables[name].items()} for name in ("map", "unit"))
-    return MappingOptions(columns, units, scales)
+    for name in ("map", "unit"):
+        for channel, value in tables[name].items():
+            if not isinstance(value, str):
+                advice = 'must be text in quotes, such as "U1"; "#3" is the third column'
+                raise InputError(f"{path}, {name}.{channel}: {value!r} {advice}")
+    return MappingOptions(tables["map"], tables["unit"], scales)
 
 
 def parse_factor(where: str, factor: object) -> float:

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from hframe_gym.effects import EFFECTS
-from hframe_gym.identification.evidence.machine_validation import (
+from hframe_gym.identification.evidence.plausibility import (
     monotonic_belts,
+    plausibility_fault,
     speeds_inside,
-    validation_fault,
 )
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from tests.effects.one_of_each import CASES, Case
@@ -23,13 +23,13 @@ ON_BELTS = {name: case for name, case in CASES.items() if EFFECTS[name].tension}
 
 @pytest.mark.parametrize("name", ["hframe", "axis"])
 def test_presets_pass(name: str) -> None:
-    assert validation_fault(BUILTIN_MACHINES[name]()) == ""
+    assert plausibility_fault(BUILTIN_MACHINES[name]()) == ""
 
 
 @pytest.mark.parametrize("case", ON_BELTS.values(), ids=ON_BELTS)
 def test_belts_of_the_library_pass(case: Case, hframe: Machine) -> None:
     """Play and slack have a flat part, which is no fault."""
-    assert validation_fault(hframe.with_effects(case.effect)) == ""
+    assert plausibility_fault(hframe.with_effects(case.effect)) == ""
 
 
 @pytest.mark.parametrize("site", ["belts", "left", "bottom"])
@@ -37,13 +37,13 @@ def test_softening_that_turns_over_fails(site: str, hframe: Machine) -> None:
     """The tension k s (1 + h s^2) falls from s = 1 / sqrt(-3 h) on, which is 2.6 mm here."""
     machine = hframe.with_effects(EFFECTS["belt_hardening"].at(site, h=-5e4))
     assert not monotonic_belts(machine)
-    assert "tension of a belt" in validation_fault(machine)
+    assert "tension of a belt" in plausibility_fault(machine)
 
 
 def test_slight_softening_passes(hframe: Machine) -> None:
     """The tension would fall from 180 mm on, where no voltage leads."""
     machine = hframe.with_effects(EFFECTS["belt_hardening"].at("belts", h=-10.0))
-    assert validation_fault(machine) == ""
+    assert plausibility_fault(machine) == ""
 
 
 def test_machine_that_diverges_fails(hframe: Machine) -> None:
@@ -52,14 +52,14 @@ def test_machine_that_diverges_fails(hframe: Machine) -> None:
     drag = hframe.with_effects(EFFECTS["quadratic_drag"].at("x", c=-500.0))
     for machine in (spring, drag):
         assert monotonic_belts(machine)
-        assert "diverge" in validation_fault(machine)
+        assert "diverge" in plausibility_fault(machine)
 
 
 def test_impossible_machine_without_effects_fails(hframe: Machine) -> None:
     """A negative mass needs no effect to diverge."""
     x, *others = hframe.coordinates
     impossible = dataclasses.replace(hframe, coordinates=(dataclasses.replace(x, mass=-1e-3), *others))
-    assert "diverge" in validation_fault(impossible)
+    assert "diverge" in plausibility_fault(impossible)
 
 
 @pytest.mark.parametrize(("fast_from", "expected"), [(6, 1.0), (4, 1e6)])

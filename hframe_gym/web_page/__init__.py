@@ -15,7 +15,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from .atomic_files import atomic_file, write_text
+from ..atomic_files import atomic_file, write_text
 
 MISSING_EXTRA = "reports need more packages: pip install 'hframe_gym[report]'"
 PANEL_WIDTH = 3.6  # in; 346 px, so that text keeps its size on a phone
@@ -217,7 +217,7 @@ def write_page(path: Path, package: str, template: str, values: Mapping[str, Any
     Args:
         path: File to write. If writing fails, an existing file is unchanged.
         package: Python package with a folder templates/, for example "hframe_gym.evaluation".
-        template: File name in this folder. The template extends `page.html.j2` of the folder hframe_gym/templates.
+        template: File name in this folder. The template extends `page.html.j2` of hframe_gym/web_page/templates.
         values: Variables of the template. A plot (`Panel`) is drawn by the macro `figure` of `macros.html.j2`.
 
     Raises:
@@ -245,7 +245,7 @@ def _templates(package: str) -> Any:
     """Return the Jinja environment with the templates of a package, which it compiles once."""
     from jinja2 import ChoiceLoader, Environment, PackageLoader
 
-    loader = ChoiceLoader([PackageLoader(package), PackageLoader("hframe_gym")])
+    loader = ChoiceLoader([PackageLoader(package), PackageLoader(__name__)])
     return Environment(loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True)
 
 

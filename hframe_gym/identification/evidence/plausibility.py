@@ -1,4 +1,4 @@
-"""Check that a machine with identified effects remains physical outside the recordings it was identified from.
+"""The plausibility of a machine with identified effects: whether it stays physical where no recording reaches.
 
 A fit constrains an effect only where the recordings reach. Beyond, a belt that softens with extension may lose all
 tension, and a machine file that simulates its recordings may diverge under the voltages of a controller in training.
@@ -95,7 +95,7 @@ def _top(speeds: Array) -> float:
     return float(speeds.max()) if np.isfinite(speeds).all() else math.inf
 
 
-def validation_fault(machine: Machine) -> str:
+def plausibility_fault(machine: Machine) -> str:
     """Return why a machine is not physical outside the recordings it was fitted to, so that it must not be used.
 
     Args:
