@@ -9,13 +9,16 @@ import numpy as np
 
 from ..identification import Dataset, prepare
 from ..machine import Machine
+from ..preparation.dataset import runs_that_should_move
 from ..preparation.initial_rest import InitialRest, without_moving_start
 from ..preparation.sensor_properties import noise_at_rest
 from ..preparation.usable import usable_run
 from ..recordings import (
     Recording,
     peak_to_peak,
+    without_outliers,
     without_repetitions,
+    without_silences,
     without_wraps,
     wraps_of,
 )
@@ -67,10 +70,16 @@ def check_recordings(recordings: Sequence[Recording], machine: Machine) -> list[
     if data.jitter:
         findings.append(Finding("note", "", "time_s", f"the clock {data.describe_jitter()}"))
     findings += _faults_and_advice(recordings, cleaned, rests, data, moving, machine)
+    silent = runs_that_should_move(data, machine, moving)
     for recording, rest in zip(cleaned, rests, strict=True):
         findings += _short_rest(recording, rest, data) + _unmeasured_outputs(recording, machine)
         if not _moves(recording, data):
             message = "nothing moves in this run: it only determines the noise of the sensors"
+            if recording.name in silent:
+                message = (
+                    f"nothing moves in this run, although {silent[recording.name]} starts to move with no more: was "
+                    "the sensor read, and was the drive on? It is not fitted"
+                )
             findings.append(Finding("advice", recording.name, "", message))
     findings += check_excitation(cleaned, data, machine)
     if moving:
@@ -128,10 +137,12 @@ def _faults_and_advice(
     The runs are given as recorded, without outliers (`cleaned`, with their `rests`), and prepared for a fit (`data`).
     """
     findings = slow_sensors([without_wraps(recording, machine) for recording in recordings], machine)
-    for recording, cleaned_recording in zip(recordings, cleaned, strict=True):
+    for recording in recordings:
         findings += check_sampling(recording) + _wraps(recording, machine)
         continuous = without_wraps(recording, machine)
-        findings += _outliers(without_repetitions(continuous), cleaned_recording, machine)
+        distinct = without_repetitions(continuous)
+        plausible = without_outliers(distinct, machine)
+        findings += _outliers(distinct, plausible, machine) + _silences(plausible, machine)
     findings += _motion_without_input(cleaned, rests, machine) + noisy_inputs(recordings, machine)
     if not moving:
         message = "nothing moves in any run: are the drives powered and the sensors connected?"
@@ -288,6 +299,24 @@ def _unmeasured_outputs(recording: Recording, machine: Machine) -> list[Finding]
             findings.append(
                 Finding("note", recording.name, channel, f"{100 * fraction:.3g} % of its rows are empty")
             )
+    return findings
+
+
+def _silences(recording: Recording, machine: Machine) -> list[Finding]:
+    """Report how long each channel of one run without outliers repeated a value because no new one came."""
+    removed = np.isfinite(recording.outputs) & np.isnan(without_silences(recording).outputs)  # (n, sensors)
+    findings = []
+    for channel, values, rows in zip(machine.output_channels, recording.outputs.T, removed.T, strict=True):
+        if rows.any():
+            present = np.flatnonzero(np.isfinite(values))
+            seconds = float(np.diff(recording.time_s[present])[rows[present[:-1]]].sum())
+            first = int(np.argmax(rows))
+            message = (
+                f"repeats a value from row {first + 1} ({values[first]:.4g}) on, "
+                f"{seconds:.2g} s in all, and goes on where the motion has arrived meanwhile: was the connection "
+                "lost? These rows are excluded, as if these cells were empty"
+            )
+            findings.append(Finding("advice", recording.name, channel, message))
     return findings
 
 

@@ -51,6 +51,11 @@ _SPEED_CORRELATION = 0.9  # of a column that is a speed with the simulated speed
 _POSITION_CORRELATION = 0.5  # largest correlation of its changes with the simulated speed
 # Factors of a time in another unit: milliseconds, hundredths, minutes, or a wrong rate.
 _CLOCK_FACTORS = (10.0, 60.0, 100.0, 1000.0, 0.1, 0.01, 0.001)
+_CLOCK_UNITS = {
+    1000.0: "ms",
+    60.0: "s",
+    0.001: "s",
+}  # true unit of the times, by factor; other factors are wrong rates
 _CLOCK_TOLERANCE = (
     1.6  # factor between the fitted viscous friction and the clock's; twice as wide for the inertia
 )
@@ -71,7 +76,7 @@ def check_scales(data: Dataset, machine: Machine) -> list[Finding]:
         Findings (severity, run, channel, message) about all runs together.
     """
     balance = declared_balance(data, machine)
-    clock = _clock(balance)
+    clock = _clock(data, balance)
     if clock:
         return clock  # a wrong clock makes all speeds wrong
     motion = _span_motion(data, machine)
@@ -85,7 +90,7 @@ def check_scales(data: Dataset, machine: Machine) -> list[Finding]:
     ]
 
 
-def _clock(balance: Balance | None) -> list[Finding]:
+def _clock(data: Dataset, balance: Balance | None) -> list[Finding]:
     """Report times in a wrong unit.
 
     With times too large by f, the motion requires f^2 times the inertia and f times the viscous friction. A wrong unit
@@ -100,11 +105,14 @@ def _clock(balance: Balance | None) -> list[Finding]:
         inertia = np.abs(np.log(np.maximum(balance.inertia, 1e-12) / factor**2))
         if (friction < math.log(_CLOCK_TOLERANCE)).all() and (inertia < 2 * math.log(_CLOCK_TOLERANCE)).all():
             direction = f"{factor:g} times too long" if factor > 1 else f"{1 / factor:g} times too short"
+            period = float(np.median(np.concatenate([np.diff(run.time_s) for run in data.runs])))
+            unit = _CLOCK_UNITS.get(factor)
+            option = f"--unit time_s={unit}" if unit else f"--map time_s={factor / period:.4g}Hz"
             message = (
-                f"the times are probably {direction}, because the motion then agrees with the machine file (as logged, "
-                f"it requires {float(np.median(balance.inertia)):.2g} times the declared inertia and "
-                f"{float(np.median(balance.viscous)):.2g} times the viscous friction): state the unit or the rate, "
-                "for example hframe import FILE --unit time_s=ms or --map time_s=1000Hz"
+                f"the times may be {direction}: as logged, the motion requires "
+                f"{float(np.median(balance.inertia)):.2g} times the declared inertia and "
+                f"{float(np.median(balance.viscous)):.2g} times the viscous friction. If these were not guessed, state "
+                f"the unit or the rate of the times: hframe import FILE {option}"
             )
             return [Finding("advice", "", "time_s", message)]
     return []

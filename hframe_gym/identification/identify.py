@@ -15,8 +15,9 @@ from pathlib import Path
 from ..distributed import single_threaded_linear_algebra
 from ..errors import InputError
 from ..machine import Machine
-from ..preparation.division import divide_runs
-from ..preparation.session import prepare_session
+from ..preparation.dataset import Dataset, runs_that_should_move
+from ..preparation.division import divide_runs, moving_runs
+from ..preparation.session import Session, prepare_session
 from ..recordings import Recording
 from ..registry import load_plugins
 from .budget import Budget, default_budget
@@ -28,6 +29,11 @@ from .report.result import IdentificationResult
 from .search.checked_search import find_effects
 from .validate.evaluation import HeldOutTest, judged
 from .validate.simpler_machines import no_worse
+
+_SILENT = (
+    "Not used: nothing moves in {0}, although {1} starts to move with no more. Its sensor was not read, its drive was "
+    "off, or something was blocked."
+)
 
 
 @single_threaded_linear_algebra()  # the result depends on no number of threads
@@ -78,18 +84,19 @@ def identify(
     # Prepare: which runs are fitted, and what of them can be used.
     held_names = divide_runs(recordings, held_out)
     session = prepare_session(recordings, machine, criteria, log)
+    all_runs, statements = _without_silent_runs(session, held_names, log)
 
     # Refit, then propose effects, fit them, gather evidence and judge it, until none passes: in the fitted runs.
     found = find_effects(
         session.machine,
-        session.data,
+        all_runs,
         held_names,
         may_exchange=not held_out,
         criteria=criteria,
         log=log,
         budget=budget,
     )
-    found = found._replace(messages=(*session.statements, *found.messages))
+    found = found._replace(messages=(*session.statements, *statements, *found.messages))
 
     # Validate: held-out runs judge verdict and names; nothing worse than a plain fit or the file is delivered.
     test = HeldOutTest(session, found.held_out, criteria)
@@ -120,3 +127,15 @@ def _budget(
         rows = sum(len(recording.time_s) for recording in recordings)
         log(f"{len(recordings)} runs, {rows} rows: at most about {budget.seconds:.0f} s of processor time")
     return budget
+
+
+def _without_silent_runs(
+    session: Session, held_names: Sequence[str], log: Log
+) -> tuple[Dataset, tuple[str, ...]]:
+    """Return the runs without those that should move but do not, and a sentence about each of these."""
+    silent = runs_that_should_move(session.data, session.machine, moving_runs(session.recordings))
+    not_fitted = {name: other for name, other in silent.items() if name not in held_names}
+    statements = tuple(_SILENT.format(name, other) for name, other in not_fitted.items())
+    for statement in statements:
+        log(statement)
+    return session.data.with_runs([r.name for r in session.data.runs if r.name not in not_fitted]), statements

@@ -301,3 +301,37 @@ def with_known_positions(data: Dataset) -> tuple[Dataset, tuple[str, ...]]:
     return data.with_runs(located), (
         f"Not used, because no sensor with a known zero measures the start: {lost}.",
     )
+
+
+def runs_that_should_move(data: Dataset, machine: Machine, moving: Sequence[str]) -> dict[str, str]:
+    """Find runs at rest with inputs that set the machine in motion in another run.
+
+    Their sensor was not read, their drive was off, or something was blocked. In a fit, they would be evidence of dry
+    friction that the other runs refute.
+
+    Args:
+        data: Prepared runs, with inputs in the drives' units, shape (n, drives).
+        machine: Machine that was recorded.
+        moving: Names of the runs in which the machine moves.
+
+    Returns:
+        Name of a run that starts from rest with inputs of which none is larger, root mean square and peak, by the name
+        of each run that should move. Empty for drives that follow a set point, which rest at any constant position.
+    """
+
+    def sizes(run: PreparedRecording) -> Array:
+        return np.concatenate([np.sqrt(np.mean(run.inputs**2, axis=0)), np.abs(run.inputs).max(axis=0)])
+
+    if machine.drive_laws:
+        return {}
+    started = {
+        run.name: sizes(run)
+        for run in data.runs
+        if run.name in moving and run.inputs.any() and not run.initial.velocity.any()
+    }
+    found = {}
+    for run in data.runs:
+        weaker = [name for name, size in started.items() if np.all(size <= sizes(run))]
+        if weaker and run.name not in moving:
+            found[run.name] = weaker[0]
+    return found

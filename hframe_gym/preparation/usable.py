@@ -1,8 +1,9 @@
 """What of a recording can be used: the one path by which `check`, `identify` and `simulate` treat measurements.
 
 A recording is unwrapped first, and stamps that jitter around equal steps are replaced by these. Not usable are
-repetitions of the last measurement by a sensor that is slower than the log, outliers, the measurements before the
-machine comes to rest, and those at the end of a sensor's range. Inputs that were measured with much noise are averaged.
+repetitions of the last measurement by a sensor that is slower than the log or silent, outliers, the measurements
+before the machine comes to rest, and those at the end of a sensor's range. Inputs that were measured with much noise
+are averaged.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from ..recordings import (
     repetitions,
     without_outliers,
     without_repetitions,
+    without_silences,
     without_wraps,
     wraps_of,
 )
@@ -34,7 +36,7 @@ class UsableRun(NamedTuple):
     """A run in which measurements that are not usable are NaN.
 
     Attributes:
-        measured: The run, unwrapped, without repetitions and outliers.
+        measured: The run, unwrapped, without repetitions, outliers and silences.
         rest: Rest at its beginning.
         usable: The same run, also without the measurements before the machine comes to rest.
     """
@@ -57,7 +59,8 @@ def usable_run(
     regular, jitter_s = with_regular_clock(without_wraps(recording, machine), machine)
     unwrapped = without_input_noise(regular, machine, log)
     distinct = without_repetitions(unwrapped)
-    measured = without_outliers(distinct, machine)
+    plausible = without_outliers(distinct, machine)
+    measured = without_silences(plausible)
     rest = initial_rest(measured, machine)
     usable = without_moving_start(measured, machine, rest)
     if log is not None:
@@ -68,7 +71,12 @@ def usable_run(
                 "steps; these replace the stamps"
             )
         _log_repetitions(unwrapped, distinct, machine, log)
-        for before, after, what in ((distinct, measured, "outliers"), (measured, usable, "moving start")):
+        removals = (
+            (distinct, plausible, "outliers"),
+            (plausible, measured, "values that were repeated while the sensor was silent"),
+            (measured, usable, "moving start"),
+        )
+        for before, after, what in removals:
             if after is not before:
                 count = np.isfinite(before.outputs).sum(axis=0) - np.isfinite(after.outputs).sum(axis=0)
                 found = ", ".join(

@@ -10,6 +10,7 @@ from .cleaning import (
     repetitions,
     without_outliers,
     without_repetitions,
+    without_silences,
 )
 from .examples import copy_examples, examples_folder
 from .logs import (
@@ -118,6 +119,7 @@ __all__ = [
     "unwrapped",
     "without_outliers",
     "without_repetitions",
+    "without_silences",
     "without_wraps",
     "wraps_of",
     "write_machine_template",

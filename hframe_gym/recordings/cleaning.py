@@ -1,4 +1,4 @@
-"""Find defects of single samples in a recording: dropped samples, repeated measurements, and outliers of a sensor.
+"""Find defects of single samples in a recording: dropped samples, repeated measurements, silences, and outliers.
 
 Defective measurements become NaN (not measured); no substitute is invented. `bridge_blanks` interpolates, but only for
 comparisons between channels.
@@ -43,6 +43,10 @@ _LEAST_REPEATED = 0.05
 _NOISY = 0.5  # changes of one step per repetition; noise makes two, a sensor that is held none
 # Ratio of the 90th to the 10th percentile: intervals of a held sensor are alike at any speed, and its changes are not.
 _LARGEST_RATIO = 2.0
+_SILENCE = 5.0  # times the usual time between new values, from which on a sensor may have been silent
+# Fraction of the distance at the speeds before and after a silence; a machine that stops covers 1 / _SILENCE at most.
+_CONTINUED = 0.5
+_CATCH_UP = 3.0  # times the largest step around a silence
 # Times the largest regular step; the first and the last sample have neighbors on one side only.
 _EDGE_FACTOR = 5.0
 
@@ -256,6 +260,55 @@ def without_outliers(recording: Recording, machine: Machine) -> Recording:
     if not mask.any():
         return recording
     return dataclasses.replace(recording, outputs=np.where(mask, np.nan, recording.outputs))
+
+
+def without_silences(recording: Recording) -> Recording:
+    """Copy a recording, with NaN (not measured) where a log repeats a value because the sensor sent no new one.
+
+    A machine that stops and goes on leaves a rest by one small step. After a lost connection, the next value is where
+    the motion has arrived meanwhile. The repetitions between two values are removed if
+
+    - their time is at least five times as long as usual between the new values before and after,
+    - the motion has the same direction before, across and after it, and
+    - its step is more than three times as large as each one before and after, as no quantization step is, and at least
+      half of what the slower of the speeds before and after makes of this time.
+
+    Args:
+        recording: Run without outliers (times, s; voltages, V; measurements, m or rad): a connection that returns may
+            send its late values all at once.
+
+    Returns:
+        Copy with measurements, m or rad, shape (n, sensors); the same object if no sensor was silent.
+    """
+    outputs = recording.outputs.copy()
+    for values in outputs.T:
+        measured = np.flatnonzero(np.isfinite(values))
+        new = measured[np.append(True, np.diff(values[measured]) != 0.0)] if len(measured) else measured
+        if len(new) < 2 * _NEIGHBORS:
+            continue
+        steps, spans = np.diff(values[new]), np.diff(recording.time_s[new])
+        long = spans[1:-1] >= _SILENCE * np.minimum(spans[:-2], spans[2:])
+        for i in (np.flatnonzero(long) + 1).tolist():
+            if _goes_on(steps, spans, i):
+                values[new[i] + 1 : new[i + 1]] = np.nan
+    unchanged = np.array_equal(outputs, recording.outputs, equal_nan=True)
+    return recording if unchanged else dataclasses.replace(recording, outputs=outputs)
+
+
+def _goes_on(steps: Array, spans: Array, i: int) -> bool:
+    """Return whether the motion around a long time between new values goes on during it.
+
+    Args:
+        steps: Differences of successive new values, shape (k,).
+        spans: Times between them, s, shape (k,).
+        i: Index of the long one, neither the first nor the last.
+    """
+    sides = slice(max(i - _NEIGHBORS, 0), i), slice(i + 1, i + 1 + _NEIGHBORS)
+    usual = max(float(np.median(spans[side])) for side in sides)
+    largest = max(float(np.abs(steps[side]).max()) for side in sides)
+    distances = [float(steps[side].sum() / spans[side].sum() * spans[i] / steps[i]) for side in sides]
+    caught_up = 0.0 < _CONTINUED * min(distances) <= 1.0
+    return bool(caught_up and spans[i] >= _SILENCE * usual and abs(steps[i]) > _CATCH_UP * largest)
 
 
 def _isolated_samples(time_s: Array, values: Array, floor: float) -> Mask:

@@ -35,7 +35,7 @@ def test_a_laser_that_keeps_its_value_is_stuck(runs: list[Recording], hframe: Ma
 
 def test_an_encoder_that_keeps_its_value_is_stuck(runs: list[Recording], hframe: Machine) -> None:
     def stick(y: np.ndarray) -> np.ndarray:
-        y[900:1800] = y[900]
+        y[900:] = y[900]
         return y
 
     [warning] = check_before_fit([with_column(runs[1:2], PHI1, stick)[0]], hframe)
@@ -252,6 +252,10 @@ def test_a_run_in_which_nothing_moves_is_advice(runs: list[Recording], hframe: M
     )
     [line] = [f for f in check_recordings([*runs, resting], hframe) if "nothing moves" in f.message]
     assert line.run == "still"
+    assert "determines the noise" in line.message
+    driven = dataclasses.replace(resting, inputs=runs[0].inputs)
+    [line] = [f for f in check_recordings([*runs, driven], hframe) if "nothing moves" in f.message]
+    assert f"although {runs[0].name} starts to move with no more" in line.message
 
 
 def test_the_quantum_of_an_encoder_is_not_lost_among_resting_runs(

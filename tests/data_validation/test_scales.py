@@ -91,7 +91,9 @@ def test_a_factor_of_no_unit_is_advice() -> None:
 def test_times_in_a_wrong_unit_are_suspected_from_inertia_and_friction(clock: float) -> None:
     [advice] = of_channel(check_before_fit(motor_runs(1.0, clock=clock), motor()), "time_s")
     assert advice.severity == "advice"
-    assert f"the times are probably 10 times too {'long' if clock > 1 else 'short'}" in advice.message
+    assert f"the times may be 10 times too {'long' if clock > 1 else 'short'}" in advice.message
+    rate = 1.0 / np.median(np.diff(motor_runs(1.0)[0].time_s))
+    assert advice.message.endswith(f"--map time_s={rate:.4g}Hz")
 
 
 def test_a_speed_in_place_of_an_angle_is_named() -> None:

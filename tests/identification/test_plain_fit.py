@@ -111,6 +111,19 @@ def test_identification_starts_from_the_motion_where_the_file_is_wrong_by_a_fact
     assert set(report["plain"]) == {"held_out", "missing_force_percent", "terms", "delivered"}
 
 
+def test_a_term_that_the_held_out_run_refutes_is_removed_from_the_plain_fit() -> None:
+    """The axis was tilted in the fitted runs; one more, in which nothing moved, is not fitted."""
+    tilted = axis(TRUE).with_effects(EFFECTS["constant_force"].at("x", size=3.0))
+    level = dataclasses.replace(measure(axis(TRUE), runs=4)[3], name="run_04")
+    fitted = measure(tilted)
+    silent = dataclasses.replace(fitted[0], name="run_05", outputs=0.0 * fitted[0].outputs)
+    result = identify([*fitted, level, silent], axis(TRUE), held_out=["run_04"], budget=0.0)
+    assert result.plain is not None
+    assert result.plain.terms == ()
+    assert any(w.startswith("Not used: nothing moves in run_05, although run_01") for w in result.excluded)
+    assert [run.name for run in result.fitted.runs] == [run.name for run in fitted]
+
+
 def test_the_declared_machine_is_delivered_where_the_fitted_runs_mislead() -> None:
     """The carriage is heavier in all fitted runs than in the held-out one, where the file is right."""
     loaded = axis({"x.mass": 2.0 * axis().parameters["x.mass"]})

@@ -16,6 +16,7 @@ from hframe_gym.recordings import (
     repetitions,
     without_outliers,
     without_repetitions,
+    without_silences,
 )
 from tests.example_runs import example_runs
 
@@ -214,3 +215,23 @@ def test_unequal_steps_in_slow_motion_are_no_repetitions() -> None:
     motion = 0.05 + 0.04 * np.sin(np.arange(4000) / 600)
     assert repetitions(lines[np.searchsorted(lines, motion)]) == 1.0
     assert repetitions(lines[np.searchsorted(lines, 5e-5 * np.arange(4000))]) == 1.0
+
+
+def test_values_that_are_repeated_while_a_connection_is_lost_are_not_measured() -> None:
+    time = np.arange(400) * 5e-3
+    x = 0.3 * np.maximum(time - 0.2, 0.0)
+    x[200:280] = x[199]
+    lost = Recording("run", time, np.ones((400, 1)), x[:, None])
+    assert np.flatnonzero(np.isnan(without_silences(lost).outputs)).tolist() == list(range(200, 280))
+    empty = dataclasses.replace(lost, outputs=np.where(np.arange(400)[:, None] % 3, np.nan, lost.outputs))
+    found = np.isnan(without_silences(empty).outputs) & np.isfinite(empty.outputs)
+    assert np.flatnonzero(found).tolist() == list(range(204, 280, 3))
+
+
+@pytest.mark.parametrize("quantum", [1e-6, 1e-2])
+def test_a_machine_that_stops_and_goes_on_is_not_silent(quantum: float) -> None:
+    time = np.arange(400) * 5e-3
+    travel = np.interp(time, [0.0, 0.2, 0.7, 1.2, 2.0], [0.0, 0.0, 0.2, 0.2, 0.4])
+    x = np.rint(travel / quantum) * quantum
+    stopping = Recording("run", time, np.ones((400, 1)), x[:, None])
+    assert without_silences(stopping) is stopping

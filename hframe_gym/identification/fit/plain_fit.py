@@ -43,6 +43,9 @@ _ROBUST = 1.5  # residuals beyond this multiple of the median count less
 # Shortest time constant, in windows: with less inertia, all of the motion follows the force within a window, and the
 # regression shows no inertia at all.
 _SHORTEST_TIME_CONSTANT = 0.1
+# Fraction of the drives' force, root mean square, of the least dry friction from which a fit starts: a logarithm has
+# limits, and these then reach from 0.02 % to half of that force.
+_LEAST_FRICTION = 0.01
 _LEAST_RATIO = 1e-3  # of friction to the declared one; a fit in logarithms needs a value above zero
 _LONGEST_MOTION = 120.0  # s, of all runs together that are simulated; more takes long and adds little
 _WIDE_PRIOR = 1.0  # standard deviation of a logarithm; its limits are then a factor of 55
@@ -59,11 +62,22 @@ class PlainFit:
     Attributes:
         start: The machine with the inertia and friction of the inverse dynamics, without further terms; with a drive
             that follows a set point, for which there are none, those of the output-error fit.
-        simulated: Output-error fit; its machine may have a constant force, a weight and an input delay as effects.
+        fits: Output-error fits: of inertia and friction, then each with one term more, a constant force, a weight or an
+            input delay, as effects of its machine.
     """
 
     start: Machine
-    simulated: Fit
+    fits: tuple[Fit, ...]
+
+    @property
+    def simulated(self) -> Fit:
+        """The fit with all terms (theta, shape (k,))."""
+        return self.fits[-1]
+
+    @property
+    def simpler(self) -> tuple[PlainFit, ...]:
+        """The plain fits with fewer of the terms, without any first."""
+        return tuple(PlainFit(self.start, self.fits[:count]) for count in range(1, len(self.fits)))
 
     @property
     def machine(self) -> Machine:
@@ -105,11 +119,11 @@ def plain_fit(machine: Machine, data: Dataset) -> PlainFit | None:
         start, free, np.zeros(len(free)), cost, equal.count, SIMULATION, np.zeros((len(free), len(free)))
     )
     if machine.belts:
-        return PlainFit(start, best)
+        return PlainFit(start, (best,))
     best = min((best, *_output_error_fits(start, free, equal)), key=_finite_cost)
     if machine.drive_laws:
         start, free = best.machine, wide_parameters(best.machine)
-    present = {e.label for e in machine.effects}
+    present, fits = {e.label for e in machine.effects}, [best]
     for effect in (e for e in _terms(start, offsets) if e.label not in present):
         terms = _term_parameters(effect, machine)
         trials = [
@@ -123,7 +137,8 @@ def plain_fit(machine: Machine, data: Dataset) -> PlainFit | None:
         trial = min(trials, key=_finite_cost)
         if trial.cost < (1.0 - _LEAST_GAIN) * best.cost:
             best = trial
-    return PlainFit(start, best)
+            fits.append(best)
+    return PlainFit(start, tuple(fits))
 
 
 def _excerpt(data: Dataset) -> Dataset:
@@ -293,6 +308,7 @@ def _balance(
             continue
         coefficients = _robust_nonnegative(equations.columns, equations.force)
         inertia, viscous, dry, above, below = map(float, coefficients[:5])
+        dry = max(dry, _LEAST_FRICTION * float(np.sqrt(np.mean(equations.force**2))))
         least = _SHORTEST_TIME_CONSTANT * span * viscous / declared[equations.motion]
         if max(inertia, least) > 0.0:
             found[equations.motion] = (max(inertia, least), viscous, dry, above - below)

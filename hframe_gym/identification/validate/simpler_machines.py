@@ -126,8 +126,7 @@ def _compared(
 ) -> tuple[PlainResult, Evaluated, str]:
     """Return the plain fit with its errors, the outcome that is delivered, and what replaced the search's machine."""
     outcome, test = evaluated.outcome, evaluated.test
-    reference = test.errors(plain.machine.replace(name=f"{test.session.machine.name}-plain"), outcome.data)
-
+    plain, reference = _confirmed(plain, evaluated)
     result = PlainResult(reference, plain.terms)
     log(f"plain fit: {reference.held_out.noise_ratio:.4g} times the noise on the held-out runs")
     if not test.session.machine.belts:
@@ -150,6 +149,18 @@ def _compared(
     log(sentence)
     delivered = _instead(evaluated, plain.simulated, _WORSE_THAN_PLAIN)
     return dataclasses.replace(result, delivered=True), delivered, sentence
+
+
+def _confirmed(plain: PlainFit, evaluated: Evaluated) -> tuple[PlainFit, ModelEvaluation]:
+    """Return the plain fit without the last terms that worsen the prediction of the held-out runs, and its errors."""
+    test, data = evaluated.test, evaluated.outcome.data
+    name = f"{test.session.machine.name}-plain"
+    best, reference = plain, test.errors(plain.machine.replace(name=name), data)
+    for simpler in reversed(plain.simpler):
+        errors = test.errors(simpler.machine.replace(name=name), data)
+        if error_ratio(errors, reference) < 1.0:
+            best, reference = simpler, errors
+    return best, reference
 
 
 def _is_worse(model: ModelEvaluation, reference: ModelEvaluation, test: HeldOutTest) -> bool:

@@ -10,6 +10,7 @@ from ...errors import InputError
 from ...registry import load_plugins
 from .foreign_files import FOREIGN_SUFFIXES, refuse_foreign_file
 from .formats import LOG_FORMATS, START_BYTES, LogFormat
+from .formats.base import ANY_TEXT
 from .log import Log
 
 
@@ -31,9 +32,10 @@ def open_logs(path: Path) -> list[Log]:
     if path.is_file():
         with open(path, "rb") as file:
             start = file.read(START_BYTES)
+    found = max((k for k in _formats() if k.recognizes(path, start)), key=lambda kind: kind.precedence)
+    if found.precedence == ANY_TEXT:
         refuse_foreign_file(path, start)
-    found = [kind for kind in _formats() if kind.recognizes(path, start)]
-    return max(found, key=lambda kind: kind.precedence).open(path)
+    return found.open(path)
 
 
 def find_logs(path: str | Path) -> tuple[list[Path], list[Path]]:

@@ -405,9 +405,11 @@ class _LogMapping:
             if len(columns) > 1
         ]
         problem = "; ".join(ambiguous) or f"no column is named like {', '.join(missing)}"
+        all_unused = len(unused) == len(self.log.columns) > 1
+        not_assigned = "all" if all_unused else headers_text(unused) or "none"
         return (
             f"{self.log.path}: {problem}. Columns of the log: {headers_text(self.log.columns)}. "
-            f"Not assigned: {headers_text(unused) or 'none'}. {self._channels_text()}. "
+            f"Not assigned: {not_assigned}. {self._channels_text()}. "
             f"{self._advice_about_missing(missing, unused)}"
         )
 

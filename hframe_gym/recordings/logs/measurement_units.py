@@ -230,6 +230,8 @@ def wrong_unit_message(machine: Machine, channel: str, unit: str) -> str:
     resolution = machine.sensor(channel).resolution if channel in machine.output_channels else 0.0
     if unit.lower() in COUNT_UNITS and resolution > 0.0:
         factor += f" (FACTOR is {resolution:.6g} if a count is the declared resolution)"
+    if unit in UNITS["length"] and channel_dimension(machine, channel) == "angle":
+        factor += f" (FACTOR is 1 / radius of what rolls, in {unit})"
     units = ", ".join(accepted_units(machine, channel))
     return f"{unit!r} is not a unit of {channel}; state it by --unit {channel}=UNIT ({units}), or {factor}"
 

@@ -115,6 +115,8 @@ def _advice(machine: Machine, channel: str, column: Meaning) -> str:
                 f"state its unit by --unit {channel}=% or --unit {channel}=pu (1 is the rated voltage), or the volts "
                 f"of one step by --scale {channel}=FACTOR"
             )
+        if family == "voltage":
+            return "describe its drive with the kind voltage and a channel such as u_V (docs/own_machine.md)"
         advice = "map the voltage or the duty cycle that was applied"
         if family in _COMMANDED and column.evidence == "name":
             return f"{advice}, or add --unit {channel}=V if the column is a voltage in spite of its name"

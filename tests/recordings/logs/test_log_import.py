@@ -1011,3 +1011,19 @@ def test_logs_of_the_same_name_and_missing_logs_are_refused(hframe: Machine, tmp
 @pytest.mark.parametrize("file", ["test_3.csv", "test_3.csv.gz", "TEST_3.CSV.GZ", "test_3.TXT"])
 def test_a_run_has_the_name_of_its_log_without_endings(file: str) -> None:
     assert log_name(Path("logs", file)).lower() == "test_3"
+
+
+@pytest.mark.parametrize(
+    ("columns", "message"),
+    [
+        ({"duty": "U"}, "describe its drive with the kind voltage and a channel such as u_V"),
+        ({"duty": "pwm"}, r"FACTOR is 1 / radius of what rolls, in mm"),
+    ],
+)
+def test_messages_name_the_way_for_a_voltage_at_a_bridge_and_for_a_distance_of_a_wheel(
+    tmp_path: Path, columns: dict[str, str], message: str
+) -> None:
+    (tmp_path / "log.csv").write_text("t [s],U [V],pwm [%],x [mm]\n0,0,0,0\n0.1,1,20,1\n0.2,1,20,3\n")
+    settings = ImportSettings(MappingOptions({**columns, "wheel_rad": "x"}))
+    with pytest.raises(InputError, match=message):
+        import_logs(tmp_path / "log.csv", tmp_path / "runs", BUILTIN_MACHINES["wheel"](), settings)

@@ -35,6 +35,17 @@ def test_arrays_structures_and_cells_are_columns(tmp_path: Path) -> None:
         np.testing.assert_array_equal(values[header], POSITION)
 
 
+def test_arrays_of_numpy_are_columns_like_those_of_matlab(tmp_path: Path) -> None:
+    joints = np.column_stack([POSITION, TIME])
+    np.savez(tmp_path / "log.npz", time=TIME, q=joints, name=np.array("joint"), image=np.zeros((2, 3, 4)))
+    (log,) = open_logs(tmp_path / "log.npz")
+    assert [column.header for column in log.columns] == ["time", "q.1", "q.2"]
+    np.testing.assert_array_equal(log.read(log.columns[1:2])[0][0], POSITION)
+    np.savez(tmp_path / "texts.npz", name=np.array("joint"))
+    with pytest.raises(InputError, match=r"texts.npz: has no arrays of numbers"):
+        open_logs(tmp_path / "texts.npz")
+
+
 def test_a_file_becomes_a_recording(tmp_path: Path) -> None:
     axis = BUILTIN_MACHINES["axis"]()
     voltage = np.where(TIME < 0.01, 0.0, 5.0)

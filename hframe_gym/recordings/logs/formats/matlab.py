@@ -6,6 +6,7 @@ MATLAB files of version 7.3 are HDF5 files, which need h5py (extra `hdf5`); tabl
 
 from __future__ import annotations
 
+import dataclasses
 import subprocess
 import sys
 import tempfile
@@ -21,7 +22,7 @@ from typing_extensions import override
 from ....errors import InputError
 from ....file_limits import expansion_limit, refuse_expansion
 from ...text_reader import Progress
-from ..log import Log, LogColumn, log_columns
+from ..log import Log, log_columns
 from .base import LOG_FORMATS, LogFormat, require_extra
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"  # at the beginning of the file, or after 512 bytes that MATLAB writes before it
@@ -65,12 +66,25 @@ def _open_mat(path: Path) -> Log:
         advice = "save plain arrays, a struct of arrays or, as version 7, timeseries: save('log.mat', 'u', 'x', '-v7')"
         require_extra(path, "tables, timetables and timeseries", "matlab", ["matio"], advice)
         raise InputError(f"{path}: has no arrays of numbers, tables or timeseries; {advice}")
-    kinds = ["number"] * len(vectors)
+    return vector_log(path, vectors, kind)
+
+
+def vector_log(path: Path, vectors: Sequence[tuple[str, NDArray[np.float64]]], kind: str) -> Log:
+    """Build the log of a file whose vectors all have been read.
+
+    Args:
+        path: The file.
+        vectors: Names and values, shape (rows,) each, of possibly different lengths.
+        kind: What the file is, for the user.
+
+    Returns:
+        Log with a column of each vector, shape (rows,).
+    """
+    names = [name for name, _ in vectors]
+    named = log_columns(names, [""] * len(names), ["number"] * len(names))
     columns = tuple(
-        LogColumn(column.header, column.name, column.unit, column.kind, len(vector))
-        for column, (_, vector) in zip(
-            log_columns([name for name, _ in vectors], [""] * len(vectors), kinds), vectors, strict=True
-        )
+        dataclasses.replace(column, rows=len(vector))
+        for column, (_, vector) in zip(named, vectors, strict=True)
     )
 
     def read(indices: Sequence[int], progress: Progress | None) -> tuple[list[NDArray[Any]], list[str]]:
