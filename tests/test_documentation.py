@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from tools.code_blocks import EXECUTED, ROOT, SHOWN, Block, read_blocks
-from tools.tables import pages
+from tools.tables.pages import pages
 
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "examples").rglob("*.md")])
 SITE = [page for page in PAGES if page.parent == ROOT or "docs" in page.parts]

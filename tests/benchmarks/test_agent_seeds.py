@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmarks.agent_seeds import draw, trained
 from hframe_gym.agents import load_recipe, shipped_agent_folder
-from tools.tables import agent_seeds
+from tools.tables.agents import agent_seeds
 
 
 def test_complete_runs_are_used_again_and_others_continued(tmp_path, monkeypatch):

@@ -37,8 +37,8 @@ from hframe_gym.evaluation import (
 from hframe_gym.evaluation.protocol_results import part_scores
 from hframe_gym.evaluation.undeclared_effects import EXPECTED_EFFECTS, SMALLEST_SIZE, Sometimes
 from hframe_gym.machine import BUILTIN_MACHINES
-from tools.leaderboard import leaderboard_page, protocol_section, rerun
-from tools.leaderboard import results as stored_results
+from tools.tables.leaderboard import leaderboard_page, protocol_section, rerun
+from tools.tables.leaderboard import results as stored_results
 
 pytestmark = pytest.mark.integration
 
@@ -234,7 +234,7 @@ ERRORS: list[float | None] = [0.01, 0.02, 3.0, 0.01]  # mm, of draws of which th
 @pytest.fixture
 def content(short: Protocol, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     """Return the content of a valid result file of the short protocol."""
-    for module in ("hframe_gym.evaluation.protocol_results", "tools.leaderboard"):
+    for module in ("hframe_gym.evaluation.protocol_results", "tools.tables.leaderboard"):
         monkeypatch.setattr(
             f"{module}.protocol_bounds", lambda name: {}
         )  # the stored ones are of other draws

@@ -19,8 +19,7 @@ from hframe_gym.recordings import (
     machine_json_schema,
     machine_to_dict,
 )
-from tools.machine_page import schema_text
-from tools.tables import with_field_tables
+from tools.tables.machine_page import schema_text, with_field_tables
 
 DOCS = Path(__file__).parents[2] / "docs"
 

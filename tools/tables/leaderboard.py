@@ -1,7 +1,7 @@
 """Tables of docs/leaderboard.md and docs/bound.md from benchmarks/leaderboard and the stored bounds.
 
-    python -m tools.leaderboard --check FILE...               # are the files valid?
-    python -m tools.leaderboard --rerun FILE [--as ENTRY]     # do the numbers of a submission come out again?
+    python -m tools.tables.leaderboard --check FILE...               # are the files valid?
+    python -m tools.tables.leaderboard --rerun FILE [--as ENTRY]     # do the numbers of a submission come out again?
 
 `python -m tools.tables` writes the pages. Every file is validated; one that is not valid stops the generation. In each
 part of a protocol the entries are sorted by their mean, and compared draw by draw with the best controller that is not
@@ -38,9 +38,9 @@ from hframe_gym.evaluation import (
     run_protocol,
 )
 from hframe_gym.registry import load_plugins
+from tools.tables.result_tables import markdown
 
 FOLDER = ROOT / "benchmarks" / "leaderboard"
-PAGES = (ROOT / "docs" / "leaderboard.md", ROOT / "docs" / "bound.md")
 BANDS = ("1mm", "0.2mm", "0.05mm")
 ABOUT = ("learned by", "observes", "uses of the model", "million steps", "training, s", "control, us")
 Array = NDArray[np.float64]
@@ -56,21 +56,6 @@ def results(folder: Path = FOLDER) -> list[ResultFile]:
         The results, sorted by the name of the file.
     """
     return [read_result(path) for path in sorted(folder.glob("*.json"))]
-
-
-def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Format a Markdown table whose columns are aligned right, except for the first.
-
-    Args:
-        header: Titles of the columns.
-        rows: Cells of the rows.
-
-    Returns:
-        The table as lines of text.
-    """
-    return "\n".join(
-        f"| {' | '.join(line)} |" for line in (header, ["---", *["---:"] * (len(header) - 1)], *rows)
-    )
 
 
 def protocol_section(name: str, entries: Sequence[ResultFile]) -> str:
@@ -119,7 +104,7 @@ def protocol_section(name: str, entries: Sequence[ResultFile]) -> str:
         header = (
             _move_header(bounds) if task.metrics == "reach" else ["contour error, rms, mm", "maximum, mm"]
         )
-        texts.append(f"**{part}**\n\n{table(['entry', *ABOUT, *header, reference], rows)}")
+        texts.append(f"**{part}**\n\n{markdown(['entry', *ABOUT, *header, reference], rows)}")
     return "\n\n".join(texts)
 
 
@@ -242,7 +227,7 @@ def bounds_table() -> str:
             ratio = paired_ratio(held, free)
             means = (f"{1e3 * times.mean():.1f}" for times in (free, held))
             rows.append([f"`{name}`", f"{len(free)} of {len(both)}", *means, _ratio(ratio)])
-    return table(
+    return markdown(
         ["protocol", "draws with both", "free voltages, ms", "held over 10 ms, ms", "ratio of means"], rows
     )
 
@@ -264,7 +249,7 @@ def effects_table() -> str:
         )
         others = ", ".join([*family.others, *(f"{name} = {value:g}" for name, value in family.fixed.items())])
         rows.append([f"[`{family.name}`](effects.md#{family.name})", family.size, sizes, others or "none"])
-    return table(["effect", "size", "sites and range, SI", "other parameters"], rows)
+    return markdown(["effect", "size", "sites and range, SI", "other parameters"], rows)
 
 
 def leaderboard_page(text: str, entries: Sequence[ResultFile]) -> str:

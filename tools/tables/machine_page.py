@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 from pydantic.fields import FieldInfo
 
@@ -15,6 +16,7 @@ from hframe_gym.recordings import (
     fields,
     machine_json_schema,
 )
+from tools.tables.result_tables import markdown
 
 # Titles of the sections; the classes are private to the reader of the file.
 TITLES = {
@@ -34,21 +36,28 @@ def schema_text() -> str:
     return json.dumps(machine_json_schema(), indent=1, ensure_ascii=False) + "\n"
 
 
-def field_tables() -> str:
-    """Format the fields of every table of machine.json in Markdown, one section per table."""
-    return "\n\n".join(map(_section, TABLES))
+def with_field_tables(text: str) -> str:
+    """Replace the field tables of docs/machine.md by the present ones, one section per table of machine.json."""
+    sections = "\n\n".join(map(_section, TABLES))
+    return re.sub(
+        r"<!-- fields -->.*?<!-- end -->",
+        lambda _: f"<!-- fields -->\n{sections}\n<!-- end -->",
+        text,
+        flags=re.DOTALL,
+    )
 
 
 def _section(table: type[Table]) -> str:
     """Return the section of a table: what it describes, then its fields, without `comment`."""
     descriptions = field_descriptions(table)
-    rows = ["| field | value | meaning |", "| --- | --- | --- |"]
+    rows = []
     for field, info in fields(table).items():
         if field != "comment":
             required = "" if info.is_required() else ", optional"
             cells = (f"`{field}`", _value(info) + required, descriptions[field])
-            rows.append(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |")
-    return f"### {TITLES[table.__name__]}\n\n{summary(table)}\n\n" + "\n".join(rows)
+            rows.append([cell.replace("|", r"\|") for cell in cells])
+    text = markdown(["field", "value", "meaning"], rows, "---")
+    return f"### {TITLES[table.__name__]}\n\n{summary(table)}\n\n{text}"
 
 
 def _value(info: FieldInfo) -> str:

@@ -1,0 +1,33 @@
+"""Write the tables of the documentation from benchmarks/results/*.json, and other pages from the library.
+
+python -m tools.tables            # write
+python -m tools.tables --check    # write nothing; fail if a page is out of date
+"""
+
+from __future__ import annotations
+
+import argparse
+
+from benchmarks.results_file import ROOT
+from hframe_gym.atomic_files import write_text
+from tools.tables.pages import pages
+
+
+def main() -> None:
+    """Write all pages, or check that they are up to date."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--check", action="store_true", help="write nothing; fail if a page is out of date")
+    check = parser.parse_args().check
+    texts = pages()
+    outdated = [path for path, text in texts.items() if not path.is_file() or path.read_text("utf-8") != text]
+    if check and outdated:
+        names = ", ".join(str(path.relative_to(ROOT)) for path in outdated)
+        raise SystemExit(f"{names}: generated parts are out of date; run `make tables`")
+    for path in outdated:
+        write_text(path, texts[path])
+
+
+if __name__ == "__main__":
+    main()

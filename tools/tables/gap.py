@@ -1,0 +1,108 @@
+"""Tables of the protocol `gap-v1`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from tools.tables.result_tables import markdown, table
+
+
+@table("gap")
+def gap(results: dict[str, Any]) -> str:
+    """Format the scores of the entries of gap-v1, sorted by settling time over the bound."""
+
+    def number(value: Sequence[float], digits: int) -> str:
+        return f"{value[0]:.{digits}f} ({value[1]:.{digits}f} to {value[2]:.{digits}f})"
+
+    rows = [
+        [
+            f"`{name}`",
+            s["track"],
+            s["knowledge"],
+            f"{s['plants']}",
+            f"{s['seeds']}" if s["learned"] else "",
+            number(s["over_bound"], 3),
+            number(s["settling_s"], 3),
+            f"{100 * s['success'][0]:.1f} %",
+            number([1e3 * v for v in s["circle_mm"]], 0),
+            number([1e3 * v for v in s["square_mm"]], 0),
+            f"{s['belt_force_N']:.0f}",
+            f"{100 * s['saturated'][0]:.1f} %",
+            f"{100 * s['left'][0]:.1f} %",
+            f"{s['prepare_cpu_s'][0]:.0f}",
+            f"{s['control_us'][0]:.0f}",
+        ]
+        for name, s in results["entries"].items()
+    ]
+    header = [
+        "entry",
+        "track",
+        "knows",
+        "plants",
+        "seeds",
+        "moves: over the bound",
+        "until 0.2 mm, s",
+        "within 0.2 mm",
+    ]
+    header += ["circle, um rms", "square, um rms"]
+    header += ["largest belt force, N", "at the limit", "left the workspace", "preparation, s", "control, us"]
+    return markdown(header, rows)
+
+
+@table("gap_steps", results="gap")
+def gap_steps(results: dict[str, Any]) -> str:
+    """Format how often each model of the plant is better than the declared one in gap-v1."""
+    rows = []
+    for name, parts in results["steps"].items():
+        cells = []
+        for c in parts.values():
+            mean, low, high = c["ratio"]
+            cells.append(f"{c['better']} ({c['clearly_better']}), {c['worse']} ({c['clearly_worse']})")
+            cells.append(f"{mean:.3f} ({low:.3f} to {high:.3f})")
+        rows.append([f"`{name}`", f"{parts['reach']['plants']}", *cells])
+    titles = [
+        title for part in ("moves", "circle", "square") for title in (f"{part}: better, worse", "ratio")
+    ]
+    return markdown(["entry, against its declared model", "plants", *titles], rows)
+
+
+@table("gap_learned", results="gap")
+def gap_learned(results: dict[str, Any]) -> str:
+    """Format the best learned entry of gap-v1 against the best other one, by track and task."""
+    rows = []
+    for track, parts in results["learned"].items():
+        for part, c in parts.items():
+            mean, low, high = c["ratio"]
+            rows.append(
+                [
+                    track,
+                    {"reach": "moves"}.get(part, part),
+                    f"`{c['learned']}`",
+                    f"`{c['other']}`",
+                    f"{c['plants']}",
+                    f"{c['better']} ({c['clearly_better']}), {c['worse']} ({c['clearly_worse']})",
+                    f"{mean:.3f} ({low:.3f} to {high:.3f})",
+                ]
+            )
+    header = ["track", "task", "best learned entry", "best other entry", "plants", "better, worse", "ratio"]
+    return markdown(header, rows)
+
+
+@table("gap_plants", results="gap")
+def gap_plants(results: dict[str, Any]) -> str:
+    """Format what each plant of gap-v1 hides, what was identified, and settling times of two controllers."""
+    names = [
+        f"{base}{step}"
+        for base in ("pid", "predictive")
+        for step in ("", "-refitted", "-corrected", "-online")
+    ]
+    names = [name for name in names if name in results["entries"]]
+    rows = []
+    for plant in results["plants"]:
+        found = " + ".join(plant.get("found", ())) or plant.get("verdict", "")
+        times = [plant["settling_s"].get(name) for name in names]
+        rows.append(
+            [f"{plant['plant']}: {plant['hides']}", found, *("" if t is None else f"{t:.3f}" for t in times)]
+        )
+    return markdown(["plant", "identified", *(f"`{name}`" for name in names)], rows)
