@@ -23,7 +23,7 @@ from hframe_gym.effects.smooth_table import KNOTS
 from hframe_gym.identification import Dataset, IdentificationResult, write_result
 from hframe_gym.identification.fit.channel_errors import ChannelError
 from hframe_gym.identification.fit.missing_force import Dependence
-from hframe_gym.identification.report.answers import tone_of_remainder, verdict_sentence
+from hframe_gym.identification.report.answers import removed_by_effects, tone_of_remainder, verdict_sentence
 from hframe_gym.identification.report.correlations import CONFIDENCE, correlation
 from hframe_gym.identification.report.curves import page_curves, worst_first
 from hframe_gym.identification.report.effect_curves import effect_curve
@@ -168,6 +168,17 @@ def test_the_error_of_the_sentence_is_the_root_mean_square_over_the_channels() -
 def test_an_effect_that_makes_held_out_runs_worse_is_called_so(data: Dataset, tmp_path: Path) -> None:
     page = page_of(result_of(data, "effect_found", STRIBECK, gain=-0.0914), tmp_path)
     assert "It increases the squared error of the held-out runs by 9.14 %." in page
+
+
+@pytest.mark.parametrize(
+    ("explained", "left", "slower"), [(-0.001, 50.0, True), (0.6, 50.0, False), (0.3, 1.5, False)]
+)
+def test_effects_that_remove_little_of_a_slow_error_are_said_to(
+    explained: float, left: float, slower: bool
+) -> None:
+    sentences = removed_by_effects({"explained": explained, "left": left})
+    assert f"remove {100 * max(explained, 0.0):.3g} % of the squared error" in sentences[0]
+    assert any("A slower cause that no effect explains" in text for text in sentences) == slower
 
 
 def test_curves_of_the_page_are_those_of_the_machines_worst_run_first(data: Dataset) -> None:

@@ -20,6 +20,9 @@ from .units import readable_unit
 
 # Error in percent of the motion that is small: a feed-forward control by the machine removes the other 99 %.
 _SMALL_PERCENT_OF_MOTION = 1.0
+_MAIN_PART = (
+    0.5  # Of the squared simulation error; effects that remove less are named for what observers show.
+)
 _NOTICEABLE_ERROR = 1.3  # Remaining error over noise that the report calls unexplained.
 _DIVERGES = "infinitely many (its simulation diverges)"
 _DEVIATING = (
@@ -104,11 +107,7 @@ def _certainty(saved: SavedResult, effects: Sequence[Mapping[str, Any]]) -> list
         return [f"No name is given: {why}."]
     sentences = []
     if effects:
-        if report.get("explained") is not None:
-            sentences.append(
-                f"The effects remove {percent(report['explained'])} % of the squared error beyond the noise on runs "
-                "to which nothing was fitted."
-            )
+        sentences += removed_by_effects(report)
         rivals = [f"{e['name']} at {e['site']} (or {', '.join(e['rivals'])})" for e in effects if e["rivals"]]
         sentences.append(
             f"These runs do not tell apart: {'; '.join(rivals)}."
@@ -117,6 +116,25 @@ def _certainty(saved: SavedResult, effects: Sequence[Mapping[str, Any]]) -> list
         )
         sentences += _precision(saved.machine)
     return [*sentences, _whiteness(report)]
+
+
+def removed_by_effects(report: Mapping[str, Any]) -> list[str]:
+    """Return how much of the simulation error the effects remove, and why it is little, if it is.
+
+    Args:
+        report: Content of report.json.
+    """
+    if (explained := report.get("explained")) is None:
+        return []
+    removed = (
+        f"The effects remove {percent(max(explained, 0.0))} % of the squared error beyond the noise on runs to which "
+        "nothing was fitted."
+    )
+    at_noise = (report.get("left") or math.inf) <= SelectionCriteria().max_noise_ratio_explained
+    if explained >= _MAIN_PART or at_noise:
+        return [removed]
+    slow = "A slower cause that no effect explains adds up to the rest; they are named by the fast errors."
+    return [removed, slow]
 
 
 def _precision(machine: Machine) -> list[str]:

@@ -33,8 +33,8 @@ from .input_timing import with_input_timing
 from .search_effects import SearchOutcome, search_effects
 
 _CONTRADICTION = (
-    "{} is not used: the other runs agree with one machine to within their noise, and this run contradicts it. Check its "
-    "voltages, gains and sensors."
+    "{} is not used: the other runs agree with one machine to within their noise, and this run contradicts it. Check "
+    "its voltages, gains and sensors."
 )
 _HELD_OUT_CONTRADICTION = (
     "{} was held out and contradicts the fitted runs: either something was wrong with it (check its voltages, gains "
