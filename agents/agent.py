@@ -166,7 +166,6 @@ class Agent(Controller):
         """Return one line if an evaluation differs from the agent's training in machine, control period or sensors.
 
         Args:
-            machine: Machine of the evaluation.
             period: Control period of the evaluation, s.
             sensors: What the agent observes in the evaluation: "state", or a sensor suite or its name.
         """

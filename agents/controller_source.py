@@ -141,7 +141,6 @@ def start_agent_folder(recipe: Recipe, task: str, machine: Machine, previews: in
     Args:
         recipe: Recipe whose `start` names the agent.
         task: Name of the task on which training continues; `recipe_task` selects among the agents of the package.
-        machine: Machine of the training.
         previews: Number of future goals that this task shows.
 
     Raises:

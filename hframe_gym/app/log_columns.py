@@ -121,7 +121,6 @@ def view_log(path: Path, machine: Machine, options: MappingOptions) -> LogView:
 
     Args:
         path: File of the log; the first log of it is viewed.
-        machine: Machine that was logged.
         options: Columns, units and factors that the user chose.
 
     Returns:
@@ -220,7 +219,6 @@ def run_curves(path: Path, machine: Machine) -> list[Curve]:
 
     Args:
         path: File of the run.
-        machine: Machine that was recorded.
 
     Returns:
         Curve of each input and output of the machine, of shape (n,).
@@ -240,7 +238,6 @@ def run_size(path: Path, machine: Machine) -> tuple[int, float]:
 
     Args:
         path: File of the run.
-        machine: Machine that was recorded.
 
     Returns:
         Number of rows, and duration, s.

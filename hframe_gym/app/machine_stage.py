@@ -155,9 +155,6 @@ def _show_machine(machine: Machine) -> None:
 def plausibility(machine: Machine) -> tuple[list[list[str]], list[tuple[str, str, str]]]:
     """List what a machine can do, by which its values can be compared with what one knows.
 
-    Args:
-        machine: Machine.
-
     Returns:
         Limits of the motion, one row for each with the values along each axis and the unit; then rows of quantity,
         value and unit: vibrations on the belts, noise and resolution of the sensors.
@@ -185,9 +182,6 @@ def plausibility(machine: Machine) -> tuple[list[list[str]], list[tuple[str, str
 
 def parameter_rows(machine: Machine) -> list[tuple[str, str, str]]:
     """List all parameters of a machine.
-
-    Args:
-        machine: Machine.
 
     Returns:
         Rows of name, value (with its standard deviation where it was identified), and unit.

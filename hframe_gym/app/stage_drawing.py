@@ -21,9 +21,6 @@ def drawing_of(machine: Machine) -> dict[str, Any] | None:
     Every point of the view is an affine function of the point at which the tool is drawn. A point is the list
     (a, b, c, d, e, f) of x = a + b X + c Y, y = d + e X + f Y for the tool at (X, Y), all in m.
 
-    Args:
-        machine: Machine to draw.
-
     Returns:
         Limits of the view, m, workspace, shapes (kind, role, points), and the point at which the tool is drawn without
         a motion, m; None if the machine has no tool.
@@ -98,7 +95,6 @@ def read_motions(path: Path, machine: Machine) -> list[dict[str, Any]]:
 
     Args:
         path: File of a controller.
-        machine: Machine that was controlled.
 
     Returns:
         For each episode: period of the frames, s; lists of the points (x, y), m, at which tool and goal are drawn, of

@@ -292,9 +292,6 @@ def _count(count: int, noun: str) -> str:
 def machine_tables(machine: Machine) -> list[Table]:
     """Format a machine as tables with units: coordinates, belts, drives, sensors, effects, and limits of the motion.
 
-    Args:
-        machine: Machine to print, with its effects (deviations from the nominal model).
-
     Returns:
         Tables (rich), without those that would be empty. The last one has moved mass, stall force (force at rest),
         acceleration and top speed along each axis at rated voltage; implausible values there show wrong units.

@@ -18,7 +18,6 @@ def shorter_period(machine: Machine, period: float) -> float | None:
     A sampled controller cannot observe or damp a vibration above half its rate (Nyquist frequency).
 
     Args:
-        machine: Machine to control.
         period: Control period, s.
 
     Returns:
@@ -36,7 +35,6 @@ def period_concern(machine: Machine, period: float) -> str | None:
     """Return a warning with the period that `shorter_period` suggests, or None if it suggests none.
 
     Args:
-        machine: Machine to control.
         period: Control period, s.
     """
     shorter, slowest = shorter_period(machine, period), _slowest_mode(machine)

@@ -57,7 +57,7 @@ def check_recordings(recordings: Sequence[Recording], machine: Machine) -> list[
     milliseconds, only this is reported.
 
     Args:
-        recordings: Runs of the machine (times, voltages, measurements), at least one.
+        recordings: Runs of the machine, at least one.
         machine: Machine as declared, before identification.
 
     Returns:
@@ -96,7 +96,7 @@ def check_before_fit(recordings: Sequence[Recording], machine: Machine) -> list[
     excitation suffices.
 
     Args:
-        recordings: Runs of the machine (times, voltages, measurements), at least one.
+        recordings: Runs of the machine, at least one.
         machine: Machine as declared, before identification.
 
     Returns:

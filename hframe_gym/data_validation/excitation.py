@@ -40,7 +40,7 @@ def check_excitation(recordings: Sequence[Recording], data: Dataset, machine: Ma
     to the lowest natural frequency of the belts.
 
     Args:
-        recordings: Runs of the machine (times, s; voltages, V; measurements, m or rad).
+        recordings: Runs of the machine.
         data: The same runs, prepared for a fit by `identification.prepare`.
         machine: Declared machine.
 
@@ -62,7 +62,7 @@ def constant_inputs(recordings: Sequence[Recording], machine: Machine) -> list[F
     is off are useful.
 
     Args:
-        recordings: Runs as recorded (times, s; voltages, V; measurements, m or rad).
+        recordings: Runs as recorded.
         machine: Declared machine, which names the input channels.
 
     Returns:

@@ -102,7 +102,6 @@ def print_findings(findings: Sequence[Finding], console: Console) -> None:
 
     Args:
         findings: Findings (severity, run, channel, message) in the order of printing.
-        console: Rich console to print on.
     """
     groups = group_findings(findings)
     plurals = {"fault": "faults", "advice": "advice", "note": "notes"}

@@ -55,7 +55,7 @@ def cramer_rao_bounds(data: Dataset, machine: Machine, names: Sequence[str] = ()
     machine (without feedback of measurements) with white sensor noise. The first 20,000 rows of each run are used.
 
     Args:
-        data: Runs (times, voltages, measurements, SI) with initial states and noise (`identification.prepare`).
+        data: Runs with initial states and noise (`identification.prepare`).
         machine: Declared machine, at whose parameter values the simulation is linearized.
         names: Full names of the parameters. Default: the parameters that identification refits.
 
@@ -99,7 +99,7 @@ def check_parameters(data: Dataset, machine: Machine) -> list[Finding]:
     given.
 
     Args:
-        data: Runs in which the machine moves (times, voltages, measurements, SI), with initial states and noise.
+        data: Runs in which the machine moves, with initial states and noise.
         machine: Declared machine.
 
     Returns:

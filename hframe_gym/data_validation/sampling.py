@@ -191,7 +191,6 @@ def slow_sensors(recordings: Sequence[Recording], machine: Machine) -> list[Find
 
     Args:
         recordings: Runs of the machine (times, s; measurements, m or rad).
-        machine: Machine with the sensors.
 
     Returns:
         One finding of severity "advice" for each such channel.
@@ -219,7 +218,7 @@ def check_input_timing(data: Dataset, machine: Machine) -> list[Finding]:
     because a force or a mass that the machine lacks can also make the shifted voltages fit better.
 
     Args:
-        data: Runs in which the machine moves (times, s; voltages, V; measurements, m or rad), without other faults.
+        data: Runs in which the machine moves, without other faults.
         machine: Declared machine.
 
     Returns:
@@ -264,7 +263,7 @@ def check_voltages_between_rows(data: Dataset, machine: Machine) -> list[Finding
     """Report voltages that change between the rows, because the controller is faster than the log.
 
     Args:
-        data: Runs in which the machine moves (times, s; voltages, V; measurements, m or rad), without other faults.
+        data: Runs in which the machine moves, without other faults.
         machine: Declared machine.
 
     Returns:

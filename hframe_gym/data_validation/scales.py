@@ -68,8 +68,7 @@ def check_scales(data: Dataset, machine: Machine) -> list[Finding]:
     encoders with other sensors; for times, fitted inertia and friction with the declared ones.
 
     Args:
-        data: Runs in which the machine moves (times, voltages, measurements, SI), with initial states and zeros; at
-            least one.
+        data: Runs in which the machine moves, with initial states and zeros; at least one.
         machine: Declared machine.
 
     Returns:

@@ -32,9 +32,6 @@ def sensor_motions(machine: Machine) -> Array:
 
     A rigid motion stretches no belt: a carriage moves, and the pulleys follow. Without belts, one coordinate moves.
 
-    Args:
-        machine: Machine with sensors.
-
     Returns:
         Change of each measurement, m or rad, per m or rad of the coordinate that leads the motion (for example x or y),
         shape (sensors, motions), with columns in the order of `rigid_motions(machine)`.
@@ -50,7 +47,6 @@ def rigid_prediction(outputs: Array, channel: int, machine: Machine) -> tuple[Ar
         outputs: Measurements, m or rad, shape (n, sensors), NaN where not measured. A column without any measurement is
             not used.
         channel: Index of the sensor to predict.
-        machine: Machine with these sensors.
 
     Returns:
         prediction: Predicted measurements, m or rad, shape (n,), correct except for an unknown constant; NaN where a
@@ -86,7 +82,6 @@ def rigid_misfit(motion: Array, machine: Machine) -> float:
     Args:
         motion: Displacements or changes of the measurements, m or rad, shape (n, sensors), NaN where not measured. A
             column without any measurement is not used; a row that lacks another one is left out.
-        machine: Machine with these sensors.
 
     Returns:
         sqrt(sum of squared residuals / sum of squares of the scaled channels), dimensionless, 0 to 1. It is 0 if
@@ -110,8 +105,7 @@ def check_wiring(data: Dataset, machine: Machine) -> list[Finding]:
     fault, each single run is checked as well.
 
     Args:
-        data: Runs in which the machine moves (times, voltages, measurements, SI), with initial states and zeros; at
-            least one.
+        data: Runs in which the machine moves, with initial states and zeros; at least one.
         machine: Declared machine.
 
     Returns:

@@ -112,7 +112,6 @@ def with_actuators(machine: Machine, drives: ActuatorsLike) -> Machine:
     The machine keeps a dead time that it already has, and a current limit that is smaller than that of `drives`.
 
     Args:
-        machine: Machine of the environment.
         drives: What to add: `Actuators`, or a name of `ACTUATOR_PRESETS`. With "machine", nothing is added, and the
             machine itself is returned.
 

@@ -114,7 +114,7 @@ class EffectParameter:
 
     @property
     def amplitude(self) -> bool:
-        """Whether the effect (deviation from the nominal model) is absent when this parameter is zero."""
+        """Whether the effect is absent when this parameter is zero."""
         return self.role == "amplitude"
 
 
@@ -308,7 +308,7 @@ class Effect:
 
     @property
     def amplitudes(self) -> tuple[str, ...]:
-        """Names of the parameters whose value 0 means that the effect (deviation from the model) is absent."""
+        """Names of the parameters whose value 0 means that the effect is absent."""
         return tuple(p.name for p in self.parameters if p.amplitude)
 
     def at(self, site: str, **parameters: float) -> AppliedEffect:

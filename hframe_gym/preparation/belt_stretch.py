@@ -1,8 +1,8 @@
 """Stretch of the belts when a run begins: at rest by forces and friction, in motion by the drives.
 
-Encoders on pulleys measure the stretch in addition to the motion of the carriages. Forces of effects (deviations from
-the nominal model), such as cables, stretch the belts by an amount that a machine predicts. What static friction holds
-beyond that differs from run to run, and only its typical size is known.
+Encoders on pulleys measure the stretch in addition to the motion of the carriages. Forces of effects, such as cables,
+stretch the belts by an amount that a machine predicts. What static friction holds beyond that differs from run to run,
+and only its typical size is known.
 """
 
 from __future__ import annotations
@@ -25,9 +25,6 @@ _SMALLEST_ANGLE = 1e-6  # rad; a motor that is declared without friction still h
 
 def linear_coordinates(machine: Machine) -> NDArray[np.bool_]:
     """Mark the linear coordinates of a machine (carriages).
-
-    Args:
-        machine: The machine.
 
     Returns:
         True for linear, False for rotary coordinates, shape (coordinates,).
@@ -60,7 +57,6 @@ def static_equilibrium(machine: Machine, positions: Array) -> Array:
     belts carry twice the force in excess of the Coulomb level, but at most the entire force.
 
     Args:
-        machine: Machine with its effects (deviations from the nominal model).
         positions: Positions in one or several runs, m or rad, shape (..., coordinates); only linear coordinates
             (carriages) are used. Coordinates that structural effects added, the last ones, may be missing.
 
@@ -89,7 +85,6 @@ def _forces_at_rest(machine: Machine, positions: Array) -> Array:
     """Return the force of the effects on each coordinate of a machine at rest, N or Nm, shape (runs, coordinates).
 
     Args:
-        machine: Machine with its effects.
         positions: Position of every coordinate in each run, m or rad, shape (runs, coordinates).
     """
     motion = np.repeat(positions[:, None], 2, axis=1)  # two equal samples of each run

@@ -130,7 +130,7 @@ class PreparedRecording:
         and forces at rest stretch the belts.
 
         Args:
-            machine: Machine with its effects (deviations from the nominal model), which may add coordinates.
+            machine: Machine with its effects, which may add coordinates.
 
         Returns:
             Positions (m, rad), velocities (m/s, rad/s; zero at rest) and states of the effects (SI; zero unless
@@ -287,9 +287,6 @@ class Dataset:
 def with_known_positions(data: Dataset) -> tuple[Dataset, tuple[str, ...]]:
     """Copy a data set without the runs that cannot be simulated, because no sensor determines the initial position.
 
-    Args:
-        data: Data set of prepared runs (times, voltages, measurements, SI).
-
     Returns:
         data: Copy without these runs (measurements of shape (n, sensors) each). If no run would remain, all are kept.
         warnings: One sentence that names the runs that were left out; empty if none was.
@@ -311,7 +308,6 @@ def runs_that_should_move(data: Dataset, machine: Machine, moving: Sequence[str]
 
     Args:
         data: Prepared runs, with inputs in the drives' units, shape (n, drives).
-        machine: Machine that was recorded.
         moving: Names of the runs in which the machine moves.
 
     Returns:

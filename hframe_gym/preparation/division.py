@@ -26,7 +26,7 @@ def divide_runs(recordings: Sequence[Recording], chosen: Sequence[str] = ()) -> 
     """Check that the runs of a session can be fitted, and choose those that are held out.
 
     Args:
-        recordings: All runs (times, s; voltages, V; measurements, m or rad).
+        recordings: All runs.
         chosen: Names of the runs to hold out. Default: one of each group of four similar runs, see `hold_out`.
 
     Returns:
@@ -75,7 +75,7 @@ def hold_out(recordings: Sequence[Recording], chosen: Sequence[str] = ()) -> tup
     them says nothing about the machine.
 
     Args:
-        recordings: All runs (times, s; voltages, V; measurements, m or rad).
+        recordings: All runs.
         chosen: Names of the runs to hold out. Default: one of each group of four; one if there are fewer than four.
 
     Returns:
@@ -188,7 +188,7 @@ def moving_runs(recordings: Sequence[Recording]) -> tuple[str, ...]:
     and the first steps of a motor that hardly turns do not count.
 
     Args:
-        recordings: All runs (times, voltages, measurements, SI).
+        recordings: All runs.
 
     Returns:
         Names of the runs in which at least one sensor moves.

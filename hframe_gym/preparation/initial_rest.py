@@ -65,7 +65,6 @@ def initial_rest(recording: Recording, machine: Machine) -> InitialRest:
 
     Args:
         recording: The run (times, s; voltages, V; measurements, m or rad, NaN where not measured).
-        machine: Machine with the sensors.
 
     Returns:
         First row at rest, number of rows from the beginning of the run to the end of the rest, the sensors that move
@@ -112,10 +111,6 @@ def count_resting_rows(recording: Recording, machine: Machine) -> int:
     shows that a controller that is faster than the log moved the machine before. Rows without
     measurements count as rest, among them those whose measurements `without_moving_start` has removed.
 
-    Args:
-        recording: The run (times, s; voltages, V; measurements, m or rad).
-        machine: Machine with the sensors.
-
     Returns:
         Number of rows, at least 1. It is 1 if an input is not zero in the first row or the run begins in motion.
     """
@@ -132,8 +127,6 @@ def without_moving_start(
     rest until the first input, so times and inputs are kept.
 
     Args:
-        recording: The run (times, s; voltages, V; measurements, m or rad).
-        machine: Machine with the sensors.
         rest: Rest at the beginning of the run. Default: `initial_rest` finds it.
 
     Returns:

@@ -49,9 +49,8 @@ def measured_initial_state(
       position by more than that tolerance, no zero of the session is used; the result is `alone`.
 
     Args:
-        recording: The run (times, voltages, measurements); saturated measurements are NaN.
-        machine: Machine with the rig's coordinates, belts and sensors, and its effects (deviations from the nominal
-            model).
+        recording: The run; saturated measurements are NaN.
+        machine: Machine with the rig's coordinates, belts and sensors, and its effects.
         zeros: Zeros of the encoders in the session.
         quanta: Quantization steps of the sensors, m or rad, shape (sensors,).
         alone: Initial state without zeros of the session. Default: that of `estimate_initial_state`.
@@ -124,8 +123,7 @@ def model_initial_states(machine: Machine, initial: Sequence[InitialState]) -> l
     pulleys as well, and the angles of all pulleys if an effect changes what a laser measures at rest.
 
     Args:
-        machine: Machine with its effects (deviations from the nominal model); structural ones may have added
-            coordinates.
+        machine: Machine with its effects; structural ones may have added coordinates.
         initial: Measured initial state of each run (positions at rest, zeros of the sensors).
 
     Returns:
@@ -158,7 +156,6 @@ def _set_encoder_angles(machine: Machine, initial: InitialState, measured: Array
     """Replace angles in static equilibrium by those that encoders with a known zero measure, in place.
 
     Args:
-        machine: Machine with its effects.
         initial: Measured initial state of the run.
         measured: Positions without the machine's effects on measurements, m or rad, shape (coordinates,).
         positions: Positions in static equilibrium, m or rad, shape (coordinates,), of which pulleys are replaced.
@@ -273,7 +270,7 @@ def encoder_zero_errors(machine: Machine, initial: Sequence[InitialState]) -> Ar
     encoders contradict each other, and are used only if there are no others.
 
     Args:
-        machine: Fitted machine with its effects (deviations from the nominal model).
+        machine: Fitted machine with its effects.
         initial: Measured initial states, one per run.
 
     Returns:

@@ -66,7 +66,6 @@ def without_input_noise(
     """Average inputs that were measured with much noise over 17 ms, centered, so that nothing is delayed.
 
     Args:
-        recording: Run.
         machine: Machine with its input channels.
         log: Called with a line of text for each input that is averaged.
 

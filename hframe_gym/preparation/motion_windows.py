@@ -42,7 +42,6 @@ def motion_windows(run: PreparedRecording, span: float) -> MotionWindows:
     same weights, so that both sides of the balance agree exactly, however fast the inputs change.
 
     Args:
-        run: Prepared run.
         span: Length of a window, s.
 
     Returns:

@@ -42,8 +42,7 @@ def with_regular_clock(recording: Recording, machine: Machine) -> tuple[Recordin
     """Replace stamps that jitter by equal steps, if the motion is smoother at these.
 
     Args:
-        recording: Run as logged (times, s; voltages, V; measurements, m or rad).
-        machine: Machine with its sensors.
+        recording: Run as logged.
 
     Returns:
         Copy with other times, s, shape (n,), or the same object; and the standard deviation of the stamps, s, 0 if they

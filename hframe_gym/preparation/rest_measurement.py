@@ -117,9 +117,6 @@ class InitialState:
     def start(self, machine: Machine) -> Array:
         """Return the complete initial state, as `simulate` takes it: positions, velocities and states of the effects.
 
-        Args:
-            machine: Machine with its effects (deviations from the nominal model).
-
         Returns:
             Positions (m, rad), velocities (m/s, rad/s), effect states (SI), shape (2 * coordinates + effect states,).
         """
@@ -132,8 +129,7 @@ class InitialState:
         """Return a copy with another complete initial state, in the format that the method `start` returns.
 
         Args:
-            machine: Machine with its effects (deviations from the nominal model), which name the last entries of
-                `start`.
+            machine: Machine with its effects, which name the last entries of `start`.
             start: Positions (m, rad), velocities (m/s, rad/s), effect states (SI), shape (2 * coordinates + effect
                 states,).
 
@@ -185,7 +181,7 @@ def estimate_initial_state(
     that is saturated at rest is replaced by its later measurements minus the encoders' displacement.
 
     Args:
-        recording: The run (times, voltages, measurements); saturated measurements are NaN.
+        recording: The run; saturated measurements are NaN.
         machine: Machine with the rig's coordinates, belts and sensors.
         zeros: Zeros of the encoders, from all runs together. Default: unknown.
 
@@ -283,7 +279,6 @@ def _position_matrix(
     """Return the matrix (coordinates, sensors) that gives positions from measurements minus zeros by least squares.
 
     Args:
-        machine: Machine with the sensors.
         zeros: Zeros of the encoders.
         usable: Mask of the sensors that measure the position, shape (sensors,).
         moving: Whether the run begins in motion, so that the drives stretch the belts.
@@ -366,7 +361,6 @@ def initial_velocity(
 
     Args:
         recording: The run (times, s; voltages, V; measurements, m or rad, NaN where not measured).
-        machine: Machine with the sensors.
         rigid: Rigid motions, one per column: displacements of the coordinates, m or rad, shape (coordinates, motions).
         position: Position at the first row, m or rad, shape (coordinates,). Forces may depend on it (cogging, cables).
 
@@ -430,7 +424,6 @@ def _fit_velocity(
     """Return the velocities of the rigid motions at the first row and their covariance, from parabolas.
 
     Args:
-        recording: The run.
         rows: Number of the first rows, to which the parabolas are fitted.
         sensor_of_motion: Measurement per unit of each rigid motion, shape (sensors, motions).
         noise: Standard deviation of each sensor, shape (sensors,).

@@ -249,7 +249,7 @@ def saturation_ranges(
     standard deviations of the laser's noise. Without belts or encoders, nothing is found.
 
     Args:
-        recordings: All runs of the rig (times, s; voltages, V; measurements, m or rad).
+        recordings: All runs of the rig.
         machine: Machine as declared.
         noise: Standard deviations of the sensors' noise, m or rad, shape (sensors,).
         criteria: Decision thresholds.
@@ -332,9 +332,7 @@ def blank_saturated(
     instead of 4: of many saturated measurements, noise puts some further inside the range.
 
     Args:
-        recording: One run (times, s; voltages, V; measurements, m or rad).
         ranges: Lower and upper end of the measuring range by channel name, m or rad. Other channels are unchanged.
-        machine: Machine that was recorded.
         noise: Standard deviations of the sensors' noise, m or rad, shape (sensors,).
         criteria: Decision thresholds.
 

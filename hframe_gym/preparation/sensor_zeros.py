@@ -118,9 +118,6 @@ def max_fitted_zero_means(behind: NDArray[np.bool_], quanta: Array, at_rest: NDA
 def behind_belts(machine: Machine) -> NDArray[np.bool_]:
     """Return which sensors are encoders on pulleys, which elastic belts separate from the tool.
 
-    Args:
-        machine: Machine with the sensors.
-
     Returns:
         True for such an encoder, shape (sensors,).
     """

@@ -65,7 +65,7 @@ def prepare_session(
     """Prepare all runs of a session for a fit, and log what is not used.
 
     Args:
-        recordings: Runs as logged (times, s; voltages, V; measurements, m or rad).
+        recordings: Runs as logged.
         machine: Machine as declared.
         criteria: Thresholds by which a sensor at the end of its range is recognized.
         log: Called with a line of text.
@@ -105,7 +105,7 @@ def prepare(recordings: Sequence[Recording], machine: Machine) -> Dataset:
     """Prepare recordings for a fit: fill gaps, and estimate initial states and properties of the sensors.
 
     Args:
-        recordings: Runs of one rig (times, s; voltages, V; measurements, m or rad), at least one.
+        recordings: Runs of one rig, at least one.
         machine: Machine with the rig's coordinates, belts and sensors.
 
     Returns:

@@ -52,8 +52,7 @@ def usable_run(
     """Remove measurements that are not usable from a run, except those at the end of a sensor's range.
 
     Args:
-        recording: Run as logged (times, s; voltages, V; measurements, m or rad).
-        machine: Machine with its sensors.
+        recording: Run as logged.
         log: Called with a line of text for each channel that wraps and each kind of measurements that is removed.
     """
     regular, jitter_s = with_regular_clock(without_wraps(recording, machine), machine)
@@ -91,7 +90,6 @@ def without_unknown_voltage(recording: Recording, machine: Machine) -> Recording
 
     Args:
         recording: Run (times, s; voltages, V; measurements in the units of the channels).
-        machine: Machine with its sensors.
 
     Returns:
         Copy with measurements of shape (n, sensors); the same object if no sensor measures such a quantity.
@@ -125,8 +123,7 @@ def rest_and_noise(recording: Recording, machine: Machine) -> tuple[int, Array, 
     """Estimate the sensors' noise from one run.
 
     Args:
-        recording: Run without gaps (times, s; voltages, V; measurements, m or rad).
-        machine: Machine with its sensors.
+        recording: Run without gaps.
 
     Returns:
         Number of rows at rest; quantization steps and noise of the sensors, m or rad, shape (sensors,) each.
@@ -153,8 +150,7 @@ def without_saturated(
     The machine's measuring ranges define where a sensor saturates; other sensors are examined (`saturation_ranges`).
 
     Args:
-        recordings: Runs of one rig (times, s; voltages, V; measurements, m or rad).
-        machine: Machine that was recorded.
+        recordings: Runs of one rig.
         noise: Standard deviations of the sensors' noise, m or rad, shape (sensors,).
         criteria: Thresholds by which a sensor at the end of its range is recognized.
 

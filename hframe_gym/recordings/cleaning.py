@@ -58,7 +58,7 @@ def fill_gaps(recording: Recording) -> Recording:
     rows have linearly interpolated voltages, and NaN (not measured) for all measurements.
 
     Args:
-        recording: Run with or without gaps (times, s; voltages, V; measurements, m or rad).
+        recording: Run with or without gaps.
 
     Returns:
         Copy (measurements of shape (n, sensors)) in which each gap is divided into equal time steps of about the median
@@ -189,7 +189,7 @@ def without_repetitions(recording: Recording) -> Recording:
     per measurement.
 
     Args:
-        recording: Run as logged (times, s; voltages, V; measurements, m or rad), with n rows.
+        recording: Run as logged, with n rows.
 
     Returns:
         Copy with measurements, m or rad, shape (n, sensors); the same object if no sensor is slow. Each row in which
@@ -222,7 +222,7 @@ def outlier_mask(recording: Recording, machine: Machine) -> Mask:
     the step to their neighbor exceeds 5 times the largest other step, 8 times the noise and 4 times the resolution.
 
     Args:
-        recording: Run to examine (times, s; voltages, V; measurements, m or rad), with n rows.
+        recording: Run to examine, with n rows.
         machine: Machine that was recorded; declares noise and resolution. A coarser resolution in the run replaces it.
 
     Returns:
@@ -249,10 +249,6 @@ def without_outliers(recording: Recording, machine: Machine) -> Recording:
     more than noise, resolution and the changes of speed explain. Kinks and steps of a real motion are kept.
     `outlier_mask` describes the criterion.
 
-    Args:
-        recording: Run to clean (times, s; voltages, V; measurements, m or rad).
-        machine: Machine that was recorded.
-
     Returns:
         Copy with measurements, m or rad, shape (n, sensors); the same object if there are no outliers.
     """
@@ -274,8 +270,7 @@ def without_silences(recording: Recording) -> Recording:
       half of what the slower of the speeds before and after makes of this time.
 
     Args:
-        recording: Run without outliers (times, s; voltages, V; measurements, m or rad): a connection that returns may
-            send its late values all at once.
+        recording: Run without outliers: a connection that returns may send its late values all at once.
 
     Returns:
         Copy with measurements, m or rad, shape (n, sensors); the same object if no sensor was silent.

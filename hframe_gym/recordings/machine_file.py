@@ -73,7 +73,6 @@ def save_machine(machine: Machine, path: str | Path) -> None:
     """Write a machine to a machine.json, which `load_machine` reads back with the same parameter values.
 
     Args:
-        machine: Machine to write.
         path: Path of the file; a missing folder is created, an existing file is replaced.
 
     Raises:

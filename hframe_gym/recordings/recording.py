@@ -169,7 +169,6 @@ def recording_from_columns(path: Path, columns: Mapping[str, Array], machine: Ma
     Args:
         path: File of the run, from which its name is taken; it need not exist.
         columns: Values by column, shape (n,) each: `time_s` (s), all inputs (V), and any of the outputs (m or rad).
-        machine: Machine that was recorded.
 
     Returns:
         The run: times, shape (n,), inputs, shape (n, drives), and outputs, shape (n, sensors). Outputs without a column
@@ -278,7 +277,7 @@ def write_recording(
 
     Args:
         path: File to write: .csv, .csv.gz (compressed) or .parquet.
-        recording: Run to write (times, s; voltages, V; measurements, m or rad); NaN becomes an empty cell.
+        recording: Run to write; NaN becomes an empty cell.
         machine: Machine that was recorded; its channels name the columns.
         progress: Called with the number of rows written since the last call.
 

@@ -8,14 +8,8 @@ from typing import Any
 from tools.tables.result_tables import markdown, table
 
 STAGES = ("declared", "before", "after")
-
-
 RANDOM_RIGS = "random_rigs_20270501"  # that is: of this seed, which was run once, for the published results
-
-
 RANDOM_RIGS_CLOSED = "random_rigs_closed_20270126"
-
-
 IDENTIFICATION_SETS = (
     "library_full",
     "library_small",

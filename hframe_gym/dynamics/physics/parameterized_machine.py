@@ -168,7 +168,6 @@ class ParameterizedMachine:
         """Evaluate a formula of an effect with the parameter values of this object.
 
         Args:
-            effect: Effect of the machine.
             hook: Name of the formula, for example "force"; `hframe_gym.machine.Effect` lists them with their units.
             quantities: Arguments of the formula other than the effect's parameters, by symbol, for example position q
                 (m or rad) and speed v (m/s or rad/s).

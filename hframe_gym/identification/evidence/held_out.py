@@ -29,9 +29,9 @@ def held_out_gain(selected: SelectedEffect, machine: Machine, validation: Datase
     a simulation decides, provided that the effect removes more than half of that.
 
     Args:
-        selected: Effect (deviation from the nominal model) that the search selected.
+        selected: Effect that the search selected.
         machine: Machine with all effects.
-        validation: Held-out runs (times, voltages, measurements), which were not fitted.
+        validation: Held-out runs, which were not fitted.
         bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
 
     Returns:
@@ -62,9 +62,7 @@ def error_reduction(without: Machine, machine: Machine, validation: Dataset, ban
     the prediction errors are therefore compared.
 
     Args:
-        without: Machine to compare with, for example without an effect (deviation from the nominal model).
-        machine: Machine to evaluate.
-        validation: Runs to predict (times, voltages, measurements, SI).
+        without: Machine to compare with, for example without an effect.
         bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
 
     Returns:
@@ -92,9 +90,9 @@ def worsens_simulation(without: Machine, machine: Machine, validation: Dataset) 
     An observer hides slow errors, so that wrong effects may reduce the error of predictions and add up in a simulation.
 
     Args:
-        without: Refitted machine without the effects (deviations from the nominal model).
+        without: Refitted machine without the effects.
         machine: Machine with all effects.
-        validation: Held-out runs (times, voltages, measurements, SI).
+        validation: Held-out runs.
 
     Returns:
         True if the ratio of the squared simulation errors, with effects / without effects, has a geometric mean over
@@ -109,7 +107,7 @@ def worsens_simulation(without: Machine, machine: Machine, validation: Dataset) 
 
 
 def is_excited(selected: SelectedEffect, machine: Machine, validation: Dataset, bandwidth: float) -> bool:
-    """Check whether an effect (deviation from the nominal model) changes the predictions of the held-out runs at all.
+    """Check whether an effect changes the predictions of the held-out runs at all.
 
     Examples of effects that do not: a current limit that the held-out voltages never reach, or a constant force on a
     carriage that friction holds.
@@ -117,7 +115,7 @@ def is_excited(selected: SelectedEffect, machine: Machine, validation: Dataset, 
     Args:
         selected: Effect that the search selected.
         machine: Machine with all effects.
-        validation: Held-out runs (times, voltages, measurements, SI).
+        validation: Held-out runs.
         bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
 
     Returns:

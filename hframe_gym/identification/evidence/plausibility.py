@@ -33,9 +33,6 @@ def monotonic_belts(machine: Machine) -> bool:
     random between the positive and the negative rated voltage, and multiplied by 1.5. A tension that is constant (play,
     slack) is allowed.
 
-    Args:
-        machine: Machine with its effects (deviations from the nominal model).
-
     Returns:
         True if the tension of no belt falls, and for a machine without effects on belts.
     """
@@ -54,9 +51,6 @@ def top_speeds(machine: Machine) -> tuple[float, float]:
 
     Every voltage switches between the positive and the negative rated one at random times (random telegraph signal).
     Only the time before the machine without effects leaves its workspace is evaluated.
-
-    Args:
-        machine: Machine with its effects (deviations from the nominal model).
 
     Returns:
         Largest rate of the belt travel with the effects and without them, m/s; infinite if the motion diverges.
@@ -98,9 +92,6 @@ def _top(speeds: Array) -> float:
 def plausibility_fault(machine: Machine) -> str:
     """Return why a machine is not physical outside the recordings it was fitted to, so that it must not be used.
 
-    Args:
-        machine: Machine with its effects (deviations from the nominal model).
-
     Returns:
         Clause that follows "it", for example "makes the machine diverge under random rated voltage"; empty if there is
         no fault (`judge.effect.fault_of_machine`).
@@ -130,9 +121,6 @@ def _without_effects(machine: Machine) -> Machine:
 
 def _random_motions(machine: Machine) -> tuple[Array, Array]:
     """Simulate a machine, at rest in the middle of its workspace at first, under random rated voltages.
-
-    Args:
-        machine: The machine.
 
     Returns:
         Positions, m or rad, shape (histories, n, coordinates).

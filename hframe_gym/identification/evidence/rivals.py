@@ -1,4 +1,4 @@
-"""Choose between rivals: effects (deviations from the nominal model) that explain the data about equally well.
+"""Choose between rivals: effects that explain the data about equally well.
 
 A trial is the fit of a machine with one candidate effect, the last one in its list. Two trials are equally good if
 their costs (sums of squared residuals in units of the noise) differ by less than a margin of `SelectionCriteria`.
@@ -31,7 +31,7 @@ def simplest_first(trials: list[Fit], current: Fit, criteria: SelectionCriteria)
     best fit, whichever is larger.
 
     Args:
-        trials: Fits with one candidate effect (deviation from the model) each.
+        trials: Fits with one candidate effect each.
         current: Fit without a candidate, with the same observer bandwidth (rad/s) as the trials.
         criteria: Decision thresholds; the values above are its defaults.
 
@@ -50,7 +50,7 @@ def selected_first(best: Fit, trials: list[Fit]) -> list[Fit]:
     """Return trial fits with the converged fit of one effect in the first place, instead of its trial.
 
     Args:
-        best: Converged fit with the selected effect (deviation from the model).
+        best: Converged fit with the selected effect.
         trials: Fits with one candidate effect each.
 
     Returns:
@@ -67,7 +67,7 @@ def close_rivals(trials: list[Fit], current: Fit, criteria: SelectionCriteria) -
     per measured value, or by less than 3 % of the reduction that the selected effect brings if this is more.
 
     Args:
-        trials: Fits with one candidate effect (deviation from the model) each; the first has the selected effect.
+        trials: Fits with one candidate effect each; the first has the selected effect.
         current: Fit without a candidate, with the same observer bandwidth (rad/s) as the trials.
         criteria: Decision thresholds; the values above are its defaults.
 
@@ -93,7 +93,6 @@ def rivals_in_combination(
     like another. The search compares effects one by one, so that it does not see these rivals.
 
     Args:
-        effect: Selected effect (deviation from the nominal model).
         rivals: Its known rivals.
         others: All other selected effects and their rivals.
         machine: Machine with all selected effects.
@@ -150,12 +149,10 @@ def compare_rivals(
     `chance` of the criteria, increased where the residual is correlated in time.
 
     Args:
-        current: Fit of the machine with all effects (deviations from the model).
+        current: Fit of the machine with all effects.
         label: Label (name@component) of the effect to compare.
         rivals: Its rivals. Those that add coordinates (structural effects) and those that the machine already has are
             not tried. None is tried for an effect that adds coordinates, or that another effect requires.
-        data: Prepared recordings to fit (times, voltages, measurements, SI).
-        criteria: Decision thresholds.
         in_combination: Further rivals, from `rivals_in_combination`, whose size is not known yet.
 
     Returns:

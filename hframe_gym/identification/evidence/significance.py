@@ -57,7 +57,7 @@ def depend_on_same_variable(first: AppliedEffect, second: AppliedEffect, machine
     force that depends on the speed as well.
 
     Args:
-        first: One effect (deviation from the nominal model) at its component.
+        first: One effect at its component.
         second: Another effect.
         machine: Machine on which both act.
 
@@ -87,9 +87,9 @@ def long_run_variance(fitted: Fit, label: str, data: Dataset) -> LongRunVariance
     of 50 ms, of 0.5 s and complete runs are tried.
 
     Args:
-        fitted: Fit with the effect (deviation from the nominal model), at any observer bandwidth.
+        fitted: Fit with the effect, at any observer bandwidth.
         label: Label (name@site) of the effect, of which at least one parameter is free.
-        data: Runs that were fitted (times, voltages, measurements, SI).
+        data: Runs that were fitted.
 
     Returns:
         The largest factor for the three kinds of blocks and all combinations of the effect's parameters, with the
@@ -153,8 +153,7 @@ def doubt_about_candidate(current: Fit, trial: Fit, data: Dataset, criteria: Sel
         current: Fit of the machine without the effect.
         trial: Fit of the machine with the effect as the last entry of `machine.effects`. Both fits have the same
             observer bandwidth (the observer corrects predictions by the measurements).
-        data: Runs that were fitted (times, voltages, measurements, SI).
-        criteria: Decision thresholds.
+        data: Runs that were fitted.
 
     Returns:
         Clause that follows "it ", such as "is not confirmed by runs that it was not fitted to", by
@@ -174,9 +173,7 @@ def doubt_beside_others(
         reduced: Fit of the machine with all other effects.
         complete: Fit of the machine with all effects. Both fits have the same observer bandwidth (the observer corrects
             predictions by the measurements).
-        effect: Effect (deviation from the nominal model) in question.
-        data: Runs that were fitted (times, voltages, measurements, SI).
-        criteria: Decision thresholds.
+        data: Runs that were fitted.
 
     Returns:
         Clause that follows "it ", such as "has no effect on the error", by `judge.effect.doubt_beside_others`.
@@ -190,8 +187,7 @@ def effect_evidence(without: Fit, with_effect: Fit, effect: AppliedEffect, data:
     Args:
         without: Fit of the machine without the effect.
         with_effect: Fit of the machine with it, at the same observer bandwidth.
-        effect: The effect.
-        data: Runs that were fitted (times, voltages, measurements, SI).
+        data: Runs that were fitted.
     """
 
     def narrower() -> Chance:

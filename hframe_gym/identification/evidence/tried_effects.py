@@ -38,7 +38,7 @@ class SelectedEffect:
         """Return a copy in which the effect has the parameter values of another fitted machine.
 
         Args:
-            machine: Machine that contains the effect (deviation from the nominal model), usually a later fit.
+            machine: Machine that contains the effect, usually a later fit.
             machine_without: The machine as it was fitted without the effect. Default: as before.
 
         Returns:

@@ -61,7 +61,6 @@ def channel_errors(machine: Machine, data: Dataset) -> dict[str, ChannelError]:
 
     Args:
         machine: Machine to simulate, without feedback of the measurements, from its most probable initial states.
-        data: Measured runs (times, voltages, measurements, SI).
 
     Returns:
         By name of the output channel: root mean square error `rmse`, m or rad, and `noise_ratio`, dimensionless, the
@@ -79,7 +78,6 @@ def errors_by_channel(
 
     Args:
         by_run: Errors by run, m or rad, NaN where not measured, shape (n, sensors) each.
-        machine: Machine with the sensors.
         noise: Standard deviations of the sensors' noise, m or rad, shape (sensors,).
         measured: Measurements of the same runs, m or rad, shape (n, sensors) each, for the ratio of error and motion.
             Default: without this ratio.
@@ -119,10 +117,6 @@ def white_sensors(machine: Machine, data: Dataset) -> NDArray[np.bool_]:
     The test evaluates means over blocks of n measurements (20 ms if none is missing), minus the mean over the run. The
     standard deviation of such a mean is 1 / sqrt(n) of that of a sample if the error is white noise, but hardly smaller
     if it is correlated in time. The repeated rounding error of a sensor at rest counts once (`run.weights`).
-
-    Args:
-        machine: Machine to simulate.
-        data: Measured runs (times, voltages, measurements, SI).
 
     Returns:
         True where the standard deviation of the block means is at most 0.6 times that of the noise, shape (sensors,);

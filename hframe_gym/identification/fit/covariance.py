@@ -79,7 +79,7 @@ def with_uncertainty(fitted: Fit, data: Dataset) -> Machine:
 
     Args:
         fitted: Fit of k parameters: machine, parameter values and cost.
-        data: Runs that were fitted (times, voltages, measurements, SI).
+        data: Runs that were fitted.
 
     Returns:
         The fitted machine; its `uncertainty` holds the covariance of the k free parameters, SI, shape (k, k). It is

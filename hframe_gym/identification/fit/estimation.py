@@ -134,7 +134,6 @@ def fit(
     Args:
         machine: Machine that supplies the model and the values of all other parameters.
         free: The k free parameters with their priors.
-        data: Runs to fit (times, voltages, measurements).
         bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
         theta: Initial theta of each parameter (`FreeParameter`), dimensionless, shape (k,). Default: 0, its center.
         iterations: Maximum number of iterations.
@@ -246,8 +245,6 @@ def prediction_cost(
     the part that the uncertain initial state can explain (`prediction_residuals`).
 
     Args:
-        machine: Machine that predicts.
-        data: Runs to predict (times, voltages, measurements).
         bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
         longest_step: Maximum integration step, s.
 
@@ -264,8 +261,6 @@ def prediction_costs(
     """Return the cost of a machine on each run (`prediction_cost` is their sum).
 
     Args:
-        machine: Machine that predicts.
-        data: Runs to predict (times, voltages, measurements).
         bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
         longest_step: Maximum integration step, s.
 
@@ -292,7 +287,7 @@ def cross_validation(fitted: Fit, data: Dataset, pieces: int) -> list[tuple[floa
 
     Args:
         fitted: Fit of a machine.
-        data: Runs that were fitted (times, voltages, measurements, SI).
+        data: Runs that were fitted.
         pieces: Number of pieces into which each run is divided; 1 for complete runs.
 
     Returns:

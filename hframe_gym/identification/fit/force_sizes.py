@@ -43,8 +43,7 @@ def effect_force(machine: Machine, effect: AppliedEffect, data: Dataset) -> floa
 
     Args:
         machine: Machine with or without the effect; the motion is predicted without it.
-        effect: Effect (deviation from the nominal model) whose force is evaluated.
-        data: Runs (times, voltages, measurements) over which the machine is predicted.
+        data: Runs over which the machine is predicted.
 
     Returns:
         sqrt(mean over time of the sum of F^2 over the coordinates), N, with the effect's force F at the belt (torque /
@@ -60,13 +59,13 @@ def effect_force(machine: Machine, effect: AppliedEffect, data: Dataset) -> floa
 def force_difference(first: Machine, second: Machine, data: Dataset) -> float:
     """Return the root mean square difference between the forces of two machines along the same motion.
 
-    If the second machine has one more effect (deviation from the nominal model) and was refitted, this is the part of
-    the effect's force that other values of the first machine's parameters cannot reproduce.
+    If the second machine has one more effect and was refitted, this is the part of the effect's force that other values
+    of the first machine's parameters cannot reproduce.
 
     Args:
         first: Machine whose predicted motion is used.
         second: Machine with the same coordinates.
-        data: Runs over which the motion is predicted (times, voltages, measurements, SI).
+        data: Runs over which the motion is predicted.
 
     Returns:
         sqrt(mean over time of the sum of F^2 over the coordinates), N, with the force F of each coordinate at the belt
@@ -86,7 +85,6 @@ def drive_force(machine: Machine, data: Dataset) -> float:
     """Return the root mean square force that the voltages of the recordings cause in the drives, without back-EMF.
 
     Args:
-        machine: Machine with its drives.
         data: Runs with the voltages.
 
     Returns:
@@ -117,7 +115,7 @@ def residue_force(fitted: Fit, data: Dataset) -> float:
 
     Args:
         fitted: Fitted machine with its observer bandwidth. For a fit in simulation (0), an observer of 3 rad/s is used.
-        data: Runs that were fitted (times, voltages, measurements, SI).
+        data: Runs that were fitted.
 
     Returns:
         sqrt(mean over time of the sum of F^2 over the coordinates), N, with the force F of each coordinate at the belt
@@ -137,8 +135,7 @@ def lacking_force(machine: Machine, data: Dataset) -> float:
     or a sensor that repeats its measurements may be mistaken for it.
 
     Args:
-        machine: Machine that predicts.
-        data: Runs, for example held-out ones (times, voltages, measurements, SI).
+        data: Runs, for example held-out ones.
 
     Returns:
         Ratio of root mean squares, dimensionless; infinite if no voltage is applied or the machine diverges.
@@ -183,10 +180,9 @@ def force_error(machine: Machine, data: Dataset) -> float | None:
     used.
 
     Args:
-        machine: Machine to evaluate.
-        data: Measured runs (times, voltages, measurements, SI). Missing measurements are interpolated between
-            measurements up to 5 ms apart (half a period of the filter; more if rows are more than 3 ms apart). Rows
-            near longer gaps are not used, nor runs of fewer than 20 rows.
+        data: Measured runs. Missing measurements are interpolated between measurements up to 5 ms apart (half a period
+            of the filter; more if rows are more than 3 ms apart). Rows near longer gaps are not used, nor runs of fewer
+            than 20 rows.
 
     Returns:
         Error over all rows that are used, dimensionless. None if the machine has belts, if a coordinate lacks a drive
@@ -371,7 +367,6 @@ def scales_of_motion(
     they change no prediction, the screening drops them.
 
     Args:
-        machine: Machine that moved.
         positions: Positions over all rows of all runs, m or rad, shape (n, coordinates).
         velocities: Velocities over the same rows, m/s or rad/s, shape (n, coordinates).
         inputs: Drive voltages by run, V, shape (rows of the run, drives) each; n rows in total.
@@ -427,7 +422,6 @@ def typical_scales(current: Fit, data: Dataset) -> TypicalScales:
 
     Args:
         current: Fit of the machine, which predicts the motion.
-        data: Prepared recordings (times, voltages, measurements, SI).
 
     Returns:
         Sizes by coordinate, such as "force" (N, Nm), and of belts, such as "m" (m); `scales_of_motion` lists all.

@@ -52,7 +52,6 @@ def with_lost_voltages(
 
     Args:
         machine: Machine as declared.
-        data: Runs to fit (times, voltages, measurements, SI).
         held_out: Runs that are not fitted.
         log: Called with a line of text if voltages are estimated.
 
@@ -80,8 +79,8 @@ def estimate_lost_voltages(data: Dataset, machine: Machine) -> Dataset:
     predictions give the expected deviation of the voltages. What the machine does not explain counts as noise.
 
     Args:
-        data: Data set (times, voltages, measurements, SI) in whose gaps of up to 20 rows voltages are estimated.
-        machine: Fitted machine with its effects (deviations from the nominal model).
+        data: Data set in whose gaps of up to 20 rows voltages are estimated.
+        machine: Fitted machine with its effects.
 
     Returns:
         Copy with corrected voltages, V, shape (n, drives) for each run; `data` itself if no row was dropped, or if all
@@ -144,9 +143,7 @@ def _most_probable(
     """Return a run with the most probable voltages in dropped rows, and how much information determines them.
 
     Args:
-        machine: Machine that predicts.
         run: Run with a first estimate of the voltages.
-        data: Data set of the run.
         unknowns: Dropped rows whose voltages are estimated.
         bandwidth: Bandwidth of the observer that corrects the prediction, rad/s.
 
@@ -178,9 +175,7 @@ def _posterior(
     """Return how improbable the voltages of a run are, and the linear system of a Gauss-Newton step.
 
     Args:
-        machine: Machine that predicts.
         run: Run with its voltages.
-        data: Data set of the run.
         unknowns: Dropped rows whose voltages are estimated.
         bandwidth: Bandwidth of the observer that corrects the prediction, rad/s.
 

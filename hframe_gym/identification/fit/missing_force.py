@@ -81,7 +81,6 @@ def smooth_force_residual(machine: Machine, run: PreparedRecording, data: Datase
     positions count too: the predicted velocity, on which viscous friction and back-EMF act, lacks them.
 
     Args:
-        machine: Machine that predicts.
         run: Measured run, n samples.
         data: Data set of the run, for the sampling period.
 
@@ -121,10 +120,6 @@ class MissingMotion(NamedTuple):
 def missing_motions(machine: Machine, data: Dataset) -> list[MissingMotion]:
     """Estimate, run by run, the force that the model lacks and how far the sensors disagree, each beside its noise.
 
-    Args:
-        machine: Machine that predicts.
-        data: Measured runs (times, voltages, measurements, SI).
-
     Returns:
         Forces, N or Nm, disagreements and motion, arrays of shape (n, ...), one entry per run of n samples.
     """
@@ -147,7 +142,6 @@ def motion_directions(machine: Machine, data: Dataset) -> Array:
     """Return the force along each rigid motion per force on a coordinate.
 
     Args:
-        machine: Machine with its coordinates and belts.
         data: Data set, for the sampling period.
 
     Returns:
@@ -162,7 +156,6 @@ def correction_filters(machine: Machine, data: Dataset) -> list[tuple[Array, Arr
     Both are forces along a rigid motion of the machine, N or Nm; a constant force is followed completely.
 
     Args:
-        machine: Machine that predicts.
         data: Data set, for the sampling period.
 
     Returns:
@@ -183,7 +176,6 @@ def sensor_combinations(machine: Machine, data: Dataset) -> Array:
     """Return the combinations of the position sensors' errors that no rigid motion causes.
 
     Args:
-        machine: Machine with its sensors.
         data: Data set with the standard deviations of their noise.
 
     Returns:
@@ -286,10 +278,6 @@ class FollowedRun(NamedTuple):
 def follow_runs(machine: Machine, data: Dataset) -> list[FollowedRun]:
     """Predict all runs with the observer of 60 rad/s, from the starts that need the smallest corrections.
 
-    Args:
-        machine: Machine that predicts.
-        data: Measured runs (times, voltages, measurements, SI).
-
     Returns:
         Motion and innovations of each run, arrays of shape (n, ...) for a run of n samples, SI.
     """
@@ -317,8 +305,7 @@ def missing_force(
     the square of the frequency, the result is attenuated above a cut-off frequency, without phase lag.
 
     Args:
-        machine: Machine that predicts.
-        data: Measured runs with n rows in total (times, voltages, measurements, SI).
+        data: Measured runs with n rows in total.
         cutoff: Cut-off frequency, Hz. Default: 30, for small periodic forces; narrow forces need more.
         followed: The runs as the machine follows them. Default: of `follow_runs`.
 
@@ -345,7 +332,6 @@ def sensor_errors(machine: Machine, followed: Sequence[FollowedRun]) -> dict[str
     complete; slower ones it follows.
 
     Args:
-        machine: Machine that predicts.
         followed: The runs as it follows them, n rows in total.
 
     Returns:
@@ -405,7 +391,7 @@ def _butterworth(relative_cutoff: float) -> Array:
 
 
 def dependence_variables(machine: Machine, run: PreparedRecording, data: Dataset) -> dict[str, Array]:
-    """Return the variables of a run on which the force of a missing effect (deviation from the model) may depend.
+    """Return the variables of a run on which the force of a missing effect may depend.
 
     Args:
         machine: Machine that predicts positions and velocities, corrected by an observer at every sample.

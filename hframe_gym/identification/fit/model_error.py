@@ -45,7 +45,7 @@ _SEARCH_STEP_NARROW = 0.25e-3  # s; with a narrow observer, the errors of longer
 
 
 def search_step(bandwidth: float) -> float:
-    """Return the integration step that suffices in the search for effects (deviations from the nominal model).
+    """Return the integration step that suffices in the search for effects.
 
     Args:
         bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
@@ -87,7 +87,7 @@ def likelihood_loss(fitted: Fit, data: Dataset) -> float:
 
     Args:
         fitted: Fit at any observer bandwidth.
-        data: Runs that were fitted (times, voltages, measurements, SI).
+        data: Runs that were fitted.
 
     Returns:
         Loss, dimensionless; 1 for an exact model in simulation with white noise of the assumed size. The difference of
@@ -105,7 +105,7 @@ def narrower_observer(fitted: Fit, data: Dataset) -> Fit:
 
     Args:
         fitted: Fit at one of the bandwidths 60, 30, 15, 7 and 3 rad/s (`BANDWIDTHS`).
-        data: Runs that were fitted (times, voltages, measurements, SI).
+        data: Runs that were fitted.
 
     Returns:
         Fit, bandwidth in rad/s (after 3: 0, a simulation): machine, parameters (theta, shape (k,)), cost (chi-squared).
@@ -122,7 +122,7 @@ def likelihood_deficit(fitted: Fit, reference: Fit, data: Dataset) -> float:
     Args:
         fitted: Fit at any observer bandwidth.
         reference: Fit of the same machine at another observer bandwidth (of the feedback of measurements).
-        data: Runs that were fitted (times, voltages, measurements, SI).
+        data: Runs that were fitted.
 
     Returns:
         Reduction of chi-squared per sample, dimensionless; 0 if the fit is at least as likely.
@@ -140,7 +140,7 @@ def fit_with_model_error(fitted: Fit, data: Dataset) -> Fit:
 
     Args:
         fitted: Fit (machine, parameters, cost) at 60, 30, 15, 7, 3 or 0 rad/s (`BANDWIDTHS`; 0: simulation).
-        data: Runs that were fitted (times, voltages, measurements, SI).
+        data: Runs that were fitted.
 
     Returns:
         Most likely fit: machine, k parameters (theta, dimensionless, shape (k,)), cost (chi-squared), bandwidth, rad/s.
@@ -166,7 +166,7 @@ def polish(fitted: Fit, data: Dataset) -> Fit:
 
     Args:
         fitted: Fit to refine; its parameters are the starting values.
-        data: Runs that were fitted (times, voltages, measurements, SI).
+        data: Runs that were fitted.
 
     Returns:
         Fit, bandwidth as in `fitted`: machine, k parameters (theta, dimensionless, shape (k,)), cost (chi-squared).
@@ -229,9 +229,9 @@ def leave_one_out_gain(without: Fit, with_effect: Fit, data: Dataset) -> float:
     It is the difference of the sums of `left_out_costs` of both fits, with the pieces of `pieces_left_out`.
 
     Args:
-        without: Fit without the effect (deviation from the nominal model).
+        without: Fit without the effect.
         with_effect: Fit with the effect, at the same observer bandwidth (of the feedback of measurements).
-        data: Runs that were fitted (times, voltages, measurements, SI).
+        data: Runs that were fitted.
 
     Returns:
         Reduction of the cost, dimensionless, summed over all runs. It is usually smaller than the reduction on the
@@ -262,7 +262,7 @@ def left_out_costs(fitted: Fit, data: Dataset, pieces: int) -> list[float]:
 
     Args:
         fitted: Fit of a machine.
-        data: Runs that were fitted (times, voltages, measurements, SI).
+        data: Runs that were fitted.
         pieces: Number of pieces into which each run is divided; 1 for complete runs.
 
     Returns:
@@ -308,7 +308,6 @@ def continue_fit(fitted: Fit, data: Dataset, bandwidth: float) -> Fit:
 
     Args:
         fitted: Earlier fit; its parameters are the starting values.
-        data: Runs to fit (times, voltages, measurements, SI).
         bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
 
     Returns:

@@ -38,7 +38,7 @@ def fit_run_by_run(fitted: Fit, data: Dataset) -> Fit:
 
     Args:
         fitted: Final fit at any observer bandwidth.
-        data: Runs that were fitted (times, voltages, measurements, SI).
+        data: Runs that were fitted.
 
     Returns:
         Fit of the same k parameters (theta, shape (k,)). Its `observers` are those of the runs; its cost is that at the

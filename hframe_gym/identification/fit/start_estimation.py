@@ -48,7 +48,6 @@ def most_probable_initial_state(machine: Machine, run: PreparedRecording, data: 
     states, which remember motion before the run.
 
     Args:
-        machine: Machine to simulate, with its effects.
         run: Run as `prepare` returns it: times, voltages, measurements minus the sensors' zeros, initial state.
         data: Data set of the run, for the sampling period and the sensors' quantization steps.
 
@@ -78,7 +77,6 @@ def start_for_observer(machine: Machine, run: PreparedRecording, data: Dataset) 
     can be worse than the measured one.
 
     Args:
-        machine: Machine that predicts.
         run: Run to predict, n samples.
         data: Data set of the run, for the sampling period and the sensors' quantization steps.
 
@@ -104,8 +102,7 @@ def refine_dataset(data: Dataset, machine: Machine, reference: Dataset | None = 
       true ones, because a fit linearizes the influence of their uncertainty.
 
     Args:
-        data: Data set to correct (times, voltages, measurements, SI).
-        machine: Fitted machine with its effects (deviations from the nominal model).
+        machine: Fitted machine with its effects.
         reference: Data set to which the machine was fitted; the errors of the zeros are estimated from it.
             Default: `data`.
 
@@ -134,8 +131,7 @@ def refine_starts(data: Dataset, machine: Machine) -> Dataset:
     one, because friction determines whether a belt's stretch is released or held.
 
     Args:
-        data: Data set (times, voltages, measurements, SI).
-        machine: Fitted machine with its effects (deviations from the nominal model).
+        machine: Fitted machine with its effects.
 
     Returns:
         Copy in which `InitialState.start_offset`, shape (2 * coordinates,), of each run is estimated.
@@ -159,7 +155,7 @@ def with_probable_starts(current: Fit, data: Dataset, criteria: SelectionCriteri
 
     Args:
         current: Fit of a machine (k parameters theta, dimensionless, shape (k,)).
-        data: Runs that were fitted (times, voltages, measurements, SI).
+        data: Runs that were fitted.
         criteria: Decision thresholds of `judge.error.required_gain`.
 
     Returns:
@@ -196,8 +192,7 @@ def most_probable_start(
     compared over the first motion, where minima are fewer, and the best of them are followed over the complete run.
 
     Args:
-        machine: Machine to simulate. Its effects (deviations from the nominal model) may have states that remember
-            earlier motion, such as hysteresis.
+        machine: Machine to simulate. Its effects may have states that remember earlier motion, such as hysteresis.
         initial: Measured initial state of the run.
         state: Positions (m, rad), then velocities (m/s, rad/s), by the measurements at rest, shape (2 * coordinates,).
         errors: Function that simulates the first rows of the run from states, shape (B, 2 * coordinates + effect

@@ -61,7 +61,7 @@ class FreeParameter:
 
     @property
     def of_effect(self) -> bool:
-        """Whether it is a parameter of an effect (deviation from the nominal model), not of the machine itself."""
+        """Whether it is a parameter of an effect, not of the machine itself."""
         return "@" in self.name  # the label of an effect is name@site
 
     @property
@@ -258,9 +258,6 @@ def typical_force(machine: Machine) -> float:
 
     A fit expresses the amplitudes of effects and undeclared friction relative to it.
 
-    Args:
-        machine: Machine with its drives.
-
     Returns:
         Force at the belt (torque / pulley radius for a rotary coordinate), N.
     """
@@ -294,8 +291,8 @@ def default_free_parameters(machine: Machine, *, effects: bool = True) -> tuple[
 
     Args:
         machine: Declared machine.
-        effects: Whether the nonzero parameters of the declared effects (deviations from the nominal model) are
-            included, unless an effect declares a parameter as fixed.
+        effects: Whether the nonzero parameters of the declared effects are included, unless an effect declares a
+            parameter as fixed.
 
     Returns:
         Free parameters with their priors, centered on the declared values.

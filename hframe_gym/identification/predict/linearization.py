@@ -41,7 +41,7 @@ def has_impacts(machine: Machine) -> bool:
     """Check whether parts of a machine separate and collide, so that residuals are rugged functions of parameters.
 
     Args:
-        machine: Machine with its effects (deviations from the nominal model), for example play.
+        machine: Machine with its effects, for example play.
 
     Returns:
         True if an effect makes parts collide.
@@ -169,7 +169,6 @@ class ResidualModel:
         `at(theta).linearize_run` does the same for several runs and computes what they have in common once.
 
         Args:
-            run: Run to predict.
             theta: Dimensionless variables of the k free parameters at the expansion point, shape (k,).
 
         Returns:

@@ -43,7 +43,7 @@ class NormalEquations:
         """Form the normal equations of one run's linearized residual r + J dtheta + E a.
 
         dtheta (k,) is a change of the dimensionless parameters theta; a (m,) are the amounts of m perturbations, such
-        as forces of candidate effects (deviations from the model), in multiples of a unit amount.
+        as forces of candidate effects, in multiples of a unit amount.
 
         Args:
             jacobian: J transposed: derivatives of r with respect to theta, dimensionless, shape (k, rows).

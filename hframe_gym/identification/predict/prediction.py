@@ -51,7 +51,6 @@ def map_runs(function: Callable[[PreparedRecording], T], data: Dataset) -> Itera
 
     Args:
         function: Function of one run; it is called from several threads.
-        data: Data set with the runs (times, voltages, measurements, SI).
 
     Yields:
         Result of the function for each run, in the order of the runs.
@@ -74,7 +73,6 @@ def sensor_bandwidths(machine: Machine, bandwidth: float) -> Array:
     not measured. Sensors of other quantities correct nothing, their errors only count: their bandwidth is 0.
 
     Args:
-        machine: Machine with its sensors.
         bandwidth: Observer bandwidth of the encoders, or of all sensors if there are no encoders, rad/s.
 
     Returns:
@@ -97,8 +95,6 @@ def innovation_variance(machine: Machine, data: Dataset, bandwidth: float) -> tu
     """Return the variance that innovations (errors before an observer's correction) of an exact machine have.
 
     Args:
-        machine: Machine with its sensors.
-        data: Runs to predict (times, voltages, measurements, SI).
         bandwidth: Bandwidth of the observer, rad/s; 0 for a simulation, whose errors are the noise.
 
     Returns:
@@ -116,7 +112,6 @@ def sensor_innovation_variance(machine: Machine, period: float, bandwidth: float
     """Return the variance of the innovations of an exact machine / that of each sensor's noise, shape (sensors,).
 
     Args:
-        machine: Machine with its sensors.
         period: Sampling period, s.
         bandwidth: Bandwidth of the observer, rad/s.
     """
@@ -222,7 +217,7 @@ def predict(
     Voltages are held from row to row, or interpolated if the run has more than one update a row.
 
     Args:
-        machine: Machine that predicts; its effects (deviations from the model) also determine the initial state.
+        machine: Machine that predicts; its effects also determine the initial state.
         run: Run to predict, n samples.
         bandwidth: Bandwidth of the observer that corrects the prediction by the measurements, rad/s; 0 for none. A run
             may have another one (`PreparedRecording.observer_bandwidth`).
@@ -285,7 +280,6 @@ def measurements_from(start: Array, machine: Machine, run: PreparedRecording) ->
 
     Args:
         start: Initial state: positions, m or rad, first, shape (coordinates or more,).
-        machine: Machine with its sensors.
         run: Run, n samples.
 
     Returns:
@@ -320,7 +314,6 @@ def block_size(seconds: float, machine: Machine, data: Dataset) -> int:
 
     Args:
         seconds: Duration of the block, s.
-        machine: Machine with its sensors.
         data: Data set, for the sampling period.
 
     Returns:

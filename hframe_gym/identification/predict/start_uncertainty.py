@@ -50,7 +50,7 @@ def uncertain_starts(machine: Machine, runs: Sequence[PreparedRecording]) -> dic
     """Return where predictions of runs by a machine start, and by how much these states may be wrong.
 
     Args:
-        machine: Machine that predicts; its effects (deviations from the nominal model) also determine the state.
+        machine: Machine that predicts; its effects also determine the state.
         runs: Runs to predict. What depends on the machine alone is computed once for all of them.
 
     Returns:
@@ -159,9 +159,6 @@ def _added_displacements(machine: Machine) -> Array:
 
 def effect_state_spreads(machine: Machine) -> Array:
     """Return the standard deviation of the state that each effect has at the start of a run.
-
-    Args:
-        machine: Machine with its effects (deviations from the nominal model).
 
     Returns:
         Standard deviations, SI, in the order of the effects' states, shape (effect states,); 0 for a state that is zero
@@ -275,7 +272,6 @@ def predict_with_displaced_starts(
     """Predict a run for several sets of parameters, and from displaced initial states, as one batch.
 
     Args:
-        machine: Machine that predicts.
         run: Run to predict, n samples.
         bandwidth: Bandwidth of the observer that corrects the prediction by the measurements, rad/s; 0 for none.
         start: State from which the run is predicted, with s displacements.
@@ -334,9 +330,7 @@ def prediction_residuals(
     can explain is removed, as in a fit.
 
     Args:
-        machine: Machine that predicts.
-        run: Run to predict (times, voltages, measurements, SI), n samples.
-        data: Data set of the run.
+        run: Run to predict, n samples.
         bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
         start: State from which the run is predicted. Default: that of `uncertain_starts`.
         longest_step: Maximum integration step, s.

@@ -50,7 +50,7 @@ class Candidate:
 
     @property
     def label(self) -> str:
-        """Name of the effect (deviation from the nominal model) and its component, such as "stribeck_friction@x"."""
+        """Name of the effect and its component, such as "stribeck_friction@x"."""
         return f"{self.effect.name}@{self.site}"
 
     @property
@@ -65,7 +65,7 @@ class Candidate:
         such candidates lead to the same fit.
 
         Args:
-            other: Candidate with other starting values of the effect (deviation from the nominal model).
+            other: Candidate with other starting values of the effect.
 
         Returns:
             True if all parameters that are neither thresholds nor amplitudes have the same starting values.
@@ -74,7 +74,7 @@ class Candidate:
         return all(self.columns[0][p.name] == other.columns[0][p.name] for p in shapes)
 
     def applied(self, amounts: Sequence[float]) -> AppliedEffect:
-        """Return the effect (deviation from the model) with given weights of its basis functions (`columns`).
+        """Return the effect with given weights of its basis functions (`columns`).
 
         Args:
             amounts: Weight of each basis function, dimensionless, shape (basis functions,); a weight of 1 gives the
@@ -106,7 +106,7 @@ class SearchState:
 
     Attributes:
         machine: Machine with the effects that have been selected so far.
-        data: Prepared recordings that are fitted (times, voltages, measurements).
+        data: Prepared recordings that are fitted.
         scales: Typical sizes of force, speed, ... at each component.
         missing_force: By coordinate name, an array of shape (n, 3) over all rows of all runs with the columns position,
             velocity and missing force (the force that the model lacks): m, m/s, N or rad, rad/s, Nm.
@@ -129,7 +129,6 @@ class SearchState:
 
         Args:
             fitted: Fit of the machine with the effects that have been selected so far.
-            data: Prepared recordings that are fitted (times, voltages, measurements).
 
         Returns:
             State with the missing force of each coordinate and the errors of each sensor, shape (n, 3) each.
@@ -243,7 +242,6 @@ def is_required(machine: Machine, label: str) -> bool:
     """Check whether an effect must stay in a machine because another effect of the machine requires it.
 
     Args:
-        machine: Machine with effects (deviations from the nominal model).
         label: Label (name@component) of the effect that may be required.
 
     Returns:
@@ -318,7 +316,7 @@ def effect_parameters(
     are size * theta.
 
     Args:
-        effect: Effect (deviation from the nominal model) with its starting values.
+        effect: Effect with its starting values.
         machine: Machine that it acts on.
         scales: Typical sizes of force, speed and so on, by the unit of the parameter.
 

@@ -283,7 +283,6 @@ def rank_dependences(machine: Machine, data: Dataset) -> list[Dependence]:
 
     Args:
         machine: Machine that predicts, with its parameters fitted.
-        data: Measured runs (times, voltages, measurements, SI).
 
     Returns:
         Variables with their components that explain more than 5 % of the force, or of the disagreement, beyond noise.
@@ -596,7 +595,6 @@ def are_causes(effects: Sequence[AppliedEffect], ranked: Sequence[Dependence], m
     Args:
         effects: Effects that are to be named.
         ranked: Causes of the force that the machine without them lacks, the strongest first.
-        machine: Machine with the effects' sites.
 
     Returns:
         True if the strongest cause is that of an effect, and each effect has a cause among them: it acts on the same

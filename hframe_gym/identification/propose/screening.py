@@ -1,10 +1,9 @@
 """Rank candidate effects by the reduction of the cost that a linearized model predicts, without fitting any.
 
-The cost is chi-squared, the sum of squared residuals in units of the noise. A candidate effect (deviation from the
-nominal model) of small size adds a known force, or a known change of a measurement, along the fitted machine's motion.
-The response of the predicted measurements to it is one column of the linearized residual. After elimination of the
-machine's free parameters, the squared correlation of column and residual is the reduction of the cost that a fit of the
-candidate would achieve.
+The cost is chi-squared, the sum of squared residuals in units of the noise. A candidate effect of small size adds a
+known force, or a known change of a measurement, along the fitted machine's motion. The response of the predicted
+measurements to it is one column of the linearized residual. After elimination of the machine's free parameters, the
+squared correlation of column and residual is the reduction of the cost that a fit of the candidate would achieve.
 
 Effects that replace a part of the model cannot have a small size: structural effects add coordinates (a yawing bridge,
 idlers with inertia), others replace dry friction (presliding). Each of their starting values is simulated instead, and
@@ -81,8 +80,8 @@ def screen(fit: Fit, candidates: Sequence[Candidate], data: Dataset) -> list[Sco
 
     Args:
         fit: Fit of the machine without the candidates; the candidates are evaluated at its observer bandwidth.
-        candidates: Effects (deviations from the nominal model), sites (components) and starting values to compare.
-        data: Runs that were fitted (times, voltages, measurements, SI).
+        candidates: Effects, sites (components) and starting values to compare.
+        data: Runs that were fitted.
 
     Returns:
         Candidates with the weights of their basis functions and the reduction of chi-squared (summed over all samples,
@@ -181,9 +180,7 @@ def candidate_perturbations(
     sample to the next.
 
     Args:
-        machine: Machine that moves.
-        candidates: Candidate effects (deviations from the nominal model). Successive ones with the same effect and site
-            are evaluated together.
+        candidates: Candidate effects. Successive ones with the same effect and site are evaluated together.
         run: Run with the sample times and voltages of the motion.
         motion: Motion of the machine with positions and velocities, a batch of one, n samples.
 
@@ -353,7 +350,7 @@ def screen_structures(
 
     Args:
         current: Fit of the machine without such an effect; the effects are evaluated at its observer bandwidth.
-        data: Runs that were fitted (times, voltages, measurements, SI).
+        data: Runs that were fitted.
         scale: Typical sizes on this machine, by which relative starting values are multiplied.
         minimum_gain: Smallest linearized reduction of chi-squared per sample, dimensionless, of a promising effect.
 

@@ -41,7 +41,7 @@ _TRIAL_ITERATIONS, _TRIAL_TOLERANCE = 8, 1e-3  # a trial need not converge fully
 
 
 def trial_fits(current: Fit, data: Dataset, enough: float, criteria: SelectionCriteria) -> list[Fit]:
-    """Fit the machine with each of the most promising effects (deviations from the model), one at a time.
+    """Fit the machine with each of the most promising effects, one at a time.
 
     A linearized model ranks the candidates by the reduction of chi-squared; the best few are fitted. If a parameter of
     the machine is at its limit, or no candidate is promising although much error is left, the fit without candidates
@@ -49,10 +49,8 @@ def trial_fits(current: Fit, data: Dataset, enough: float, criteria: SelectionCr
 
     Args:
         current: Fit without candidates; the trials have its observer bandwidth.
-        data: Prepared recordings to fit (times, voltages, measurements).
         enough: Reduction of chi-squared per sample that the search requires, dimensionless. Candidates with a
             linearized reduction below 60 % of it (`criteria.linear_gain_ratio`) are not fitted.
-        criteria: Decision thresholds.
 
     Returns:
         Fits, not fully converged, in any order: machine, k parameters (theta, dimensionless, shape (k,)) and cost
@@ -128,9 +126,7 @@ def structural_trial_fits(
         trials: Trials with other effects. If the best one reduces chi-squared by `enough`, only candidates with a
             linearized reduction of at least `enough`, and of at least 10 % of the best one's
             (`criteria.min_structural_promise`), are fitted.
-        data: Prepared recordings to fit (times, voltages, measurements, SI).
         enough: Reduction of chi-squared per sample that the search requires, dimensionless.
-        criteria: Decision thresholds.
 
     Returns:
         One fit per effect and component, after few iterations, the best one of its starting values: machine, k
@@ -178,7 +174,6 @@ def indistinguishable(
             another effect requires.
         largest_loss: Increase of chi-squared, dimensionless, to first order, up to which the runs do not distinguish
             effects.
-        data: Prepared recordings (times, voltages, measurements, SI).
 
     Returns:
         Other effects with the parameters that resemble it most, at most three, the most similar one first.
@@ -205,10 +200,9 @@ def replacement_fit(
     An effect that was selected while other effects were missing may represent a mixture of several causes.
 
     Args:
-        current: Fit with all selected effects (deviations from the nominal model).
+        current: Fit with all selected effects.
         reduced: Fit without the effect to replace, at the same observer bandwidth.
         replaced: Label (name@component) of the effect to replace.
-        data: Prepared recordings to fit (times, voltages, measurements, SI).
         criteria: Decision threshold `linear_gain_ratio`.
 
     Returns:
@@ -224,13 +218,12 @@ def replacement_fit(
 
 
 def fit_in_place_of(current: Fit, label: str, rival: AppliedEffect, data: Dataset) -> Fit:
-    """Fit a machine again in which a rival effect (deviation from the nominal model) replaces another effect.
+    """Fit a machine again in which a rival effect replaces another effect.
 
     Args:
         current: Fit of the machine with all selected effects, among them the effect to replace.
         label: Label (name@component) of the effect to replace.
         rival: Effect that replaces it, with its starting values.
-        data: Runs to fit (times, voltages, measurements, SI).
 
     Returns:
         Fit: machine, k parameters (theta, dimensionless, shape (k,)) and cost (chi-squared; infinite if the machine
@@ -277,13 +270,12 @@ def _promising(
 
 
 def fit_with_candidate(current: Fit, scored: ScoredCandidate, scales: TypicalScales, data: Dataset) -> Fit:
-    """Add a candidate effect (deviation from the model) to the machine and fit both together, with few iterations.
+    """Add a candidate effect to the machine and fit both together, with few iterations.
 
     Args:
         current: Fit without the effect; the new one has the same observer bandwidth.
         scored: Screened candidate with the amounts (weights) of its basis functions.
         scales: Typical forces, speeds and travels on this machine; the new parameters are multiples of them.
-        data: Prepared recordings to fit (times, voltages, measurements, SI).
 
     Returns:
         Fit, not fully converged: machine, k parameters (theta, dimensionless, shape (k,)) and cost (chi-squared).
@@ -335,11 +327,10 @@ def _trial_fit(
 
 
 def converge(trial: Fit, data: Dataset, *, thorough: bool) -> Fit:
-    """Continue the fit of a machine with a candidate effect (deviation from the model) until it converges.
+    """Continue the fit of a machine with a candidate effect until it converges.
 
     Args:
         trial: Fit with a candidate effect, not fully converged.
-        data: Prepared recordings to fit (times, voltages, measurements, SI).
         thorough: Whether to fit a second time, from the declared parameters of the machine and the present parameters
             of its effects, and to return the better fit. Otherwise the fit may end in a local minimum, because the
             parameters of the trial were first fitted without the effect and compensate for it.
@@ -355,12 +346,11 @@ def converge(trial: Fit, data: Dataset, *, thorough: bool) -> Fit:
 def without_effect(
     current: Fit, label: str, data: Dataset, plain: Machine, *, thorough: bool = True
 ) -> Fit | None:
-    """Remove one effect (deviation from the model) from the machine and fit the remaining free parameters again.
+    """Remove one effect from the machine and fit the remaining free parameters again.
 
     Args:
         current: Fit of the machine with the effect; the new one has the same observer bandwidth.
         label: Label of the effect: its name and the component on which it acts, such as "cogging@motor1".
-        data: Prepared recordings to fit (times, voltages, measurements, SI).
         plain: Machine before effects were added. It is used only if the effect is structural (adds coordinates).
         thorough: Whether to fit until convergence with the shortest integration step, rather than with few iterations.
 

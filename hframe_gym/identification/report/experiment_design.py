@@ -104,7 +104,7 @@ class ExperimentDesign:
 def design_discriminating_experiment(
     current: Fit, corrected: Machine, label: str, rivals: Sequence[AppliedEffect], data: Dataset
 ) -> ExperimentDesign | None:
-    """Design the run that decides between an identified effect (deviation from the nominal model) and its best rival.
+    """Design the run that decides between an identified effect and its best rival.
 
     A rival is another effect that explains the same data equally well. Steps, sines and other voltages are simulated
     with both machines. The run is the one on which their predictions differ most (`separate_machines`).
@@ -115,7 +115,7 @@ def design_discriminating_experiment(
         label: Label (name@component) of the identified effect.
         rivals: Rivals with fitted parameters, best first. Those that add coordinates (structural effects) and those
             that the machine already has are not considered.
-        data: Runs that were fitted (times, voltages, measurements, SI).
+        data: Runs that were fitted.
 
     Returns:
         Design of the run with its voltages, V, shape (n, drives). None if the identified effect is structural, if no
@@ -144,11 +144,11 @@ def separate_machines(
 
     Args:
         first: One machine.
-        second: The other machine, with its uncertainty. The machines may differ in their effects (deviations from the
-            nominal model), but not in their sensors and drives.
+        second: The other machine, with its uncertainty. The machines may differ in their effects, but not in their
+            sensors and drives.
         labels: Labels (name@component) of the effects that distinguish the first and the second machine.
-        data: Recordings that both were fitted to (times, voltages, measurements, SI). They supply the sensors' noise,
-            the sampling period and, for a coordinate without a declared range, the permitted travel.
+        data: Recordings that both were fitted to. They supply the sensors' noise, the sampling period and, for a
+            coordinate without a declared range, the permitted travel.
 
     Returns:
         Design of the run with the largest difference, with its voltages, V, shape (n, drives). None if there is no run

@@ -56,7 +56,7 @@ class RejectedEffect:
     reason: str
 
     def as_json(self) -> dict[str, Any]:
-        """Convert the rejected effect (deviation from the model) to an entry of the list `considered` in report.json.
+        """Convert the rejected effect to an entry of the list `considered` in report.json.
 
         Returns:
             "name"; "site": component on which the effect acts; "parameters": values by name, SI; "size": force relative

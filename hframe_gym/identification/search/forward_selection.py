@@ -80,7 +80,7 @@ class EffectSearch:
         """Return a copy of this search that uses other data but remembers which effects have failed a test.
 
         Args:
-            data: Prepared recordings to fit (times, voltages, measurements, SI), for example with corrected zeros.
+            data: Prepared recordings to fit, for example with corrected zeros.
 
         Returns:
             Search with a copy of `considered`; structural effects are tried again once the error is clearly smaller.
@@ -90,7 +90,7 @@ class EffectSearch:
         return search
 
     def run(self, current: Fit, selected: tuple[SelectedEffect, ...] = ()) -> Selection:
-        """Add effects (deviations from the model) one by one while one reduces the error enough and passes all tests.
+        """Add effects one by one while one reduces the error enough and passes all tests.
 
         Effects that fail one of the tests (`significance`) are added to `considered`. After each selected effect, the
         bandwidth of the observer that corrects predictions by the measurements is chosen anew (maximum likelihood), and
@@ -286,10 +286,10 @@ class EffectSearch:
     def settle_rivals(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> Selection:
         """Compare each selected effect with its rivals again, in a machine that has all other selected effects.
 
-        Rivals of an effect (deviation from the model) explained the data about equally well when it was selected, while
-        effects were missing and an observer hid differences. Each rival now takes its place. If chance does not explain
-        the difference, the most likely rival replaces the effect, and the comparison starts again; rivals that are
-        clearly less likely are dropped. `rivals_in_combination` adds possible rivals.
+        Rivals of an effect explained the data about equally well when it was selected, while effects were missing and
+        an observer hid differences. Each rival now takes its place. If chance does not explain the difference, the most
+        likely rival replaces the effect, and the comparison starts again; rivals that are clearly less likely are
+        dropped. `rivals_in_combination` adds possible rivals.
 
         Args:
             current: Fit of the machine with all selected effects.
@@ -316,7 +316,7 @@ class EffectSearch:
         return current, tuple(s.with_values(current.machine) for s in settled)
 
     def prune(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> Selection:
-        """Remove effects (deviations from the model) that later effects have made superfluous; `considered` lists them.
+        """Remove effects that later effects have made superfluous; `considered` lists them.
 
         Each effect is tested beside all other selected effects, the one with the smallest gain first. It is kept if it
         clearly reduces the error and passes all tests of `significance`, or if another effect requires it or acts on a

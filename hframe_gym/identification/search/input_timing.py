@@ -53,8 +53,7 @@ def with_input_timing(
 
     Args:
         outcome: Outcome of a search, after the held-out runs have confirmed its effects.
-        validation: Held-out runs (times, voltages, measurements, SI) that do not contradict the fitted ones.
-        criteria: Decision thresholds.
+        validation: Held-out runs that do not contradict the fitted ones.
         log: Called with a line of text for an effect that is tried.
 
     Returns:

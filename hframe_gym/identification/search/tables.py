@@ -78,8 +78,7 @@ def table_candidates(
       parameters can hide a part of a force that depends on the position.
 
     Args:
-        machine: Machine with the effects (deviations from the nominal model) that have been selected so far.
-        data: Prepared recordings (times, voltages, measurements, SI).
+        machine: Machine with the effects that have been selected so far.
         scales: Typical sizes on this machine; the basis functions are multiples of the typical force.
         criteria: Decision thresholds, among them `max_tables_per_coordinate`.
 
@@ -136,7 +135,7 @@ def table_variables(machine: Machine, data: Dataset) -> dict[str, Array]:
 
     Args:
         machine: Machine that predicts the motion.
-        data: Prepared recordings with n rows in total (times, voltages, measurements, SI).
+        data: Prepared recordings with n rows in total.
 
     Returns:
         By name, shape (n,) each: "position of C" (m or rad), "velocity of C" (m/s or rad/s) and "path of C" (distance
@@ -229,8 +228,7 @@ def add_tables(
 
     Args:
         current: Fit of the machine with the effects selected so far; all fits have its observer bandwidth.
-        selected: Effects (deviations from the nominal model) selected so far.
-        data: Prepared recordings to fit (times, voltages, measurements, SI).
+        selected: Effects selected so far.
         criteria: Decision thresholds. A table must reduce chi-squared per sample by as much as an effect.
         max_tables: Largest number of tables to add.
         log: Called with a line of text for every table that passes cross-validation.
@@ -276,7 +274,6 @@ def fit_with_moved_knots(fitted: Fit, data: Dataset, criteria: SelectionCriteria
     Args:
         fitted: Fit of the machine with its tables (forces or Coulomb friction forces over one variable); the new fit
             has the same observer bandwidth.
-        data: Prepared recordings to fit (times, voltages, measurements, SI).
         criteria: Decision thresholds. A move must reduce chi-squared per sample by as much as an effect must, and also
             reduce it in cross-validation.
 
@@ -352,7 +349,6 @@ def _left_out_ratio(fitted: Fit, reference: Fit, data: Dataset, criteria: Select
     Args:
         fitted: Fit with the table to judge.
         reference: Fit without the table, or with other knots.
-        data: Prepared recordings to fit.
         criteria: Decision thresholds, among them `cross_validation_blocks`.
 
     Returns:

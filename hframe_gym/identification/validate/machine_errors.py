@@ -146,8 +146,7 @@ def evaluate_held_out(
     machine. Everything else about the initial states follows from each recording alone.
 
     Args:
-        machine: Machine to evaluate.
-        fitted: Runs that the machine was fitted to (times, voltages, measurements, SI).
+        fitted: Runs that the machine was fitted to.
         held_out: Runs to evaluate on, as prepared for identification.
         recordings: The recordings of these runs as they were measured; others are ignored.
         criteria: Thresholds of the identification. Default: `SelectionCriteria()`.
@@ -201,8 +200,7 @@ def with_encoder_zeros(machine: Machine, data: Dataset) -> Machine:
     A simulation of a single run with this copy starts from the same state as in the fit to all runs.
 
     Args:
-        machine: Machine that was fitted to the runs; its effects (deviations from the nominal model) refine the zeros.
-        data: Data set with the runs (times, voltages, measurements, SI).
+        machine: Machine that was fitted to the runs; its effects refine the zeros.
 
     Returns:
         Copy; sensors whose zero the runs do not determine have none. `machine` itself if no zero is determined.

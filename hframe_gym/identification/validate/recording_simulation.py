@@ -71,7 +71,7 @@ def simulate_recording(
 
     Args:
         machine: Machine, declared or identified.
-        recording: The run (times, voltages, measurements); outputs may be missing.
+        recording: The run; outputs may be missing.
         criteria: Thresholds by which a sensor at the end of its range is recognized. Default: `SelectionCriteria()`.
         updates: How many times the controller changes the voltages from one row to the next; more than once, they are
             interpolated between the rows.
@@ -118,7 +118,7 @@ def initial_state_of_recording(
 
     Args:
         machine: Machine, declared or identified.
-        recording: The run (times, voltages, measurements); outputs may be missing.
+        recording: The run; outputs may be missing.
         criteria: Thresholds by which a sensor at the end of its range is recognized. Default: `SelectionCriteria()`.
 
     Returns:

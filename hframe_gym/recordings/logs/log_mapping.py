@@ -103,7 +103,6 @@ def map_columns(log: Log, machine: Machine, options: MappingOptions) -> list[Cha
 
     Args:
         log: Opened log with its columns.
-        machine: Machine that was logged.
         options: Columns, units and factors that the user assigned to channels.
 
     Returns:
@@ -136,7 +135,6 @@ def propose_columns(log: Log, machine: Machine) -> ProposedColumns:
 
     Args:
         log: Opened log with its columns.
-        machine: Machine that was logged.
 
     Returns:
         Headers by channel and by "time_s".

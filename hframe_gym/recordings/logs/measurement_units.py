@@ -123,7 +123,6 @@ def channel_dimension(machine: Machine, channel: str) -> Dimension:
     """Return the quantity of a channel.
 
     Args:
-        machine: Machine with its drives and sensors.
         channel: Name of a channel of this machine, or "time_s".
 
     Returns:
@@ -157,7 +156,6 @@ def accepted_units(machine: Machine, channel: str) -> dict[str, UnitConversion]:
     torque of the motor.
 
     Args:
-        machine: Machine with its drives and sensors.
         channel: Name of a channel of this machine, or "time_s".
 
     Returns:
@@ -218,7 +216,6 @@ def wrong_unit_message(machine: Machine, channel: str, unit: str) -> str:
     """Write the message for a column whose unit its channel cannot have, such as mm for a voltage.
 
     Args:
-        machine: Machine with its drives and sensors.
         channel: Name of a channel of this machine, or "time_s".
         unit: Unit of the column, which the channel cannot have.
 
@@ -242,7 +239,6 @@ def scaled_speed_message(machine: Machine, channel: str, unit: str) -> str:
     Such a column is refused, because it is not known whether its values times the factor are speeds or positions.
 
     Args:
-        machine: Machine with its drives and sensors.
         channel: Name of an output channel of this machine.
         unit: Unit of the speed in the log.
 
