@@ -18,18 +18,16 @@ from multiprocessing import get_context
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
 from benchmarks.results_file import write_results
+from hframe_gym.arrays import Array
 from hframe_gym.dynamics import rollout
 from hframe_gym.dynamics.simulation import threads
 from hframe_gym.machine import BUILTIN_MACHINES, Drive, Machine, rest_state
 from tests import reference_simulator as reference
 from tests.reference_simulator import Rig
-
-Array = NDArray[np.float64]
 
 SEED = 20240
 HISTORIES, ROWS, HOLD = 64, 40, 10e-3  # histories of ROWS voltages, each held for HOLD s

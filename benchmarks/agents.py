@@ -25,12 +25,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import bootstrap
 
 from benchmarks.results_file import RESULTS, write_results
 from hframe_gym.agents import Agent, train
 from hframe_gym.agents.model_card import write_card
+from hframe_gym.arrays import Array
 from hframe_gym.controllers import CONTROLLERS, Controller
 from hframe_gym.envs import TaskLike, Track
 from hframe_gym.evaluation import (
@@ -46,7 +46,6 @@ from hframe_gym.evaluation import (
 )
 from hframe_gym.machine import BUILTIN_MACHINES
 
-Array = NDArray[np.float64]
 SHIPPED = Path(__file__).parents[1] / "agents" / "shipped"
 FILES = ("agent.json", "machine.json", "policy.safetensors", "card.json")
 TRIAL: dict[str, Any] = {"episodes": 512, "seed": 1000}  # episodes that no choice was based on

@@ -17,11 +17,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import hframe_gym.evaluation
 from benchmarks.controllers import BAND, EPISODES, RUNS, SEED
 from benchmarks.results_file import write_results
+from hframe_gym.arrays import Array
 from hframe_gym.atomic_files import write_text
 from hframe_gym.controllers.time_optimal import SMOOTHED_REVERSAL_SPEED, TimeOptimalMotion, TimeOptimalReach
 from hframe_gym.dynamics import simulate_batch
@@ -40,7 +40,6 @@ from hframe_gym.evaluation import (
 from hframe_gym.evaluation.metrics import BOUNDS_FILE
 from hframe_gym.machine import rest_state
 
-Array = NDArray[np.float64]
 STORE = Path(hframe_gym.evaluation.__file__).parent / BOUNDS_FILE
 WRITE_EVERY = 8  # episodes
 CHECKED = 12  # episodes on which the discretization error is measured

@@ -39,13 +39,13 @@ from benchmarks.closed_loop_plots import draw
 from benchmarks.results_file import RESULTS, write_results
 from benchmarks.rig_loop import PERIOD_S, Driven, drive
 from hframe_gym.agents import Agent, load_recipe, train
+from hframe_gym.arrays import Array
 from hframe_gym.controllers import CONTROLLERS, Controller
 from hframe_gym.envs import Reach, Track
 from hframe_gym.evaluation import BANDS, BOUND_BAND, mean_with_interval, settling_times
 from hframe_gym.identification import identify, write_result
 from hframe_gym.machine import Machine
 from hframe_gym.recordings import load_machine
-from tests.reference_simulator import Array
 from tests.rigs.cases import cases
 from tests.rigs.recording_sessions import DEFAULT_FOLDER, Session, record
 

@@ -25,9 +25,9 @@ from rich.table import Table
 from benchmarks.other_simulator_rigs import hidden
 from benchmarks.results_file import data_root, write_results
 from benchmarks.rig_score import identify_rig, root_mean_square
+from hframe_gym.arrays import Array
 from hframe_gym.machine import Machine
 from hframe_gym.recordings import Recording, load_machine
-from tests.reference_simulator import Array
 from tests.rigs.random_effects import DrawnEffect
 
 # What the rigs hide, in the names of the library. What it lacks has no right name: `unexplained`, or a table.

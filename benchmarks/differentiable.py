@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
@@ -25,8 +24,6 @@ from benchmarks.kernel_batch import VOLTS, interleaved
 from benchmarks.results_file import write_results
 from hframe_gym.differentiable import DifferentiableStage
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
-
-Array = NDArray[np.float64]
 
 SEED, STAGES, PERIODS = 11, 256, 150
 MACHINES = ("hframe", "hframe-order20", "axis")

@@ -9,13 +9,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hframe_gym.arrays import Array
 from hframe_gym.dynamics import LANES, in_blocks, in_parallel, kernel_for
 from hframe_gym.dynamics.simulation import parameter_batch
 from hframe_gym.machine import Machine
-
-Array = NDArray[np.float64]
 
 SEED = 7
 STEP, HOLD = 0.25e-3, 40  # s; steps for which a voltage is held

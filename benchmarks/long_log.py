@@ -19,9 +19,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.results_file import write_results
+from hframe_gym.arrays import Array
 from hframe_gym.machine import Machine
 from hframe_gym.recordings import load_machine
 
@@ -42,8 +42,6 @@ wall, cpu = time.perf_counter() - start, usage.ru_utime + usage.ru_stime
 print(json.dumps({"wall_s": wall, "cpu_s": cpu, "peak_MB": usage.ru_maxrss * 1024 / 1e6}))
 sys.exit(code)
 """
-
-Array = NDArray[np.float64]
 
 
 def simulate_session(machine: Machine, rows: int) -> tuple[Array, Array, Array]:

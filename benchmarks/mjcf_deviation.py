@@ -13,15 +13,14 @@ import dataclasses
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 import hframe_gym
 from benchmarks.mujoco_stage import constant_at_center
+from hframe_gym.arrays import Array
 from hframe_gym.dynamics import simulate
 from hframe_gym.exporters import EXPORTERS
 from hframe_gym.machine import Machine
 
-Array = NDArray[np.float64]
 SECONDS, SAMPLE, HOLD = 1.0, 1e-3, 0.05  # s
 RUNS, SEED = 8, 0
 SETTINGS = (

@@ -10,15 +10,13 @@ import mujoco
 import numpy as np
 from mujoco import mjtIntegrator as Integrators
 from mujoco import rollout as _batch
-from numpy.typing import NDArray
 
+from hframe_gym.arrays import Array
 from hframe_gym.exporters.mujoco_model import FRICTION, model_xml
 from hframe_gym.exporters.mujoco_model import MujocoSettings as Choice
 from hframe_gym.machine import Machine, with_constant_stiffness
 
 __all__ = ["FRICTION", "INTEGRATORS", "SOLVERS", "Choice", "MujocoStage", "constant_at_center"]
-
-Array = NDArray[np.float64]
 
 INTEGRATORS = (
     "Euler",

@@ -15,12 +15,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks.scoring import score_names
+from hframe_gym.arrays import Array
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import IdentificationResult, identify, simulate_recording
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import Recording, load_machine, load_recordings, save_machine
-from tests.reference_simulator import Array
 from tests.reference_simulator.sensors import ENCODER_STEP_RAD, LASER_NOISE_M
 from tests.rigs.random_effects import DrawnEffect
 from tests.rigs.random_rigs import RandomRig, RandomSession

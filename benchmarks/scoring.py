@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from hframe_gym.arrays import Array
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import IdentificationResult
 from hframe_gym.identification.fit.channel_errors import channel_errors
 from hframe_gym.machine import Machine
-from tests.reference_simulator import Array
 from tests.rigs.cases import Case
 from tests.rigs.hidden_effects import HiddenEffect
 from tests.rigs.random_effects import DrawnEffect

@@ -24,7 +24,6 @@ from collections.abc import Callable
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 from scipy.integrate import solve_ivp
@@ -42,12 +41,11 @@ from benchmarks.kernel_batch import (
 )
 from benchmarks.mujoco_stage import Choice, MujocoStage, constant_at_center
 from benchmarks.results_file import write_results
+from hframe_gym.arrays import Array
 from hframe_gym.dynamics import LANES, kernel_source_text, linearize, simulate
 from hframe_gym.dynamics.codegen.lane_program import FORMULAS, LaneProgram
 from hframe_gym.dynamics.simulation import threads
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
-
-Array = NDArray[np.float64]
 
 STAGES = 4096
 FRICTION = (

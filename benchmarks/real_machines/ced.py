@@ -16,7 +16,6 @@ from scipy import signal
 
 from benchmarks.real_machines.study import (
     MACHINES,
-    Array,
     data_folder,
     errors_by_machine,
     picture,
@@ -25,6 +24,7 @@ from benchmarks.real_machines.study import (
     write_recording,
 )
 from benchmarks.results_file import write_results
+from hframe_gym.arrays import Array
 from hframe_gym.dynamics import rollout
 from hframe_gym.identification import identify
 from hframe_gym.machine import Machine

@@ -16,8 +16,9 @@ from rich.console import Console
 from rich.table import Table
 from scipy import signal
 
-from benchmarks.real_machines.study import Array, data_folder, picture
+from benchmarks.real_machines.study import data_folder, picture
 from benchmarks.results_file import write_results
+from hframe_gym.arrays import Array
 
 _BAND = (12.0, 130.0)  # Hz; below is the motion itself, above the mount of the accelerometer
 _HEIGHT = 0.3  # of the highest peak; lower peaks do not count

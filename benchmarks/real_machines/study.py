@@ -6,16 +6,14 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
 from benchmarks.results_file import FIGURES, ROOT, data_root
+from hframe_gym.arrays import Array
 from hframe_gym.atomic_files import atomic_file
 from hframe_gym.identification import IdentificationResult
 from hframe_gym.machine import Machine
-
-Array = NDArray[np.float64]
 
 MACHINES = ROOT / "benchmarks" / "machines"
 

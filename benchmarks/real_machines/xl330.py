@@ -19,7 +19,6 @@ from rich.console import Console
 
 from benchmarks.real_machines.study import (
     MACHINES,
-    Array,
     data_folder,
     errors_by_machine,
     picture,
@@ -28,6 +27,7 @@ from benchmarks.real_machines.study import (
     write_recording,
 )
 from benchmarks.results_file import ROOT, write_results
+from hframe_gym.arrays import Array
 from hframe_gym.identification import identify
 from hframe_gym.machine import Machine
 from hframe_gym.recordings import Recording, load_machine, load_recordings

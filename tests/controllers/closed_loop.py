@@ -6,13 +6,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hframe_gym.arrays import Array
 from hframe_gym.controllers import Controller
 from hframe_gym.dynamics import rollout
 from hframe_gym.machine import Machine, rest_state
 
-Array = NDArray[np.float64]
 PERIOD = 0.01  # control period, s
 PREVIEW = 10  # previewed goals
 

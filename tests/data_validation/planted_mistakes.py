@@ -6,13 +6,12 @@ import dataclasses
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hframe_gym.arrays import Array
 from hframe_gym.data_validation import Finding
 from hframe_gym.machine import Machine
 from hframe_gym.recordings import Recording
 
-Array = NDArray[np.float64]
 PHI1, PHI2, X, Y = range(4)  # columns of the outputs
 
 

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from hframe_gym.arrays import Array
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import identify, prepare
 from hframe_gym.identification.fit.lost_voltages import (
@@ -22,7 +22,6 @@ from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import Recording
 
 pytestmark = pytest.mark.unit
-Array = NDArray[np.float64]
 AXIS, HFRAME = BUILTIN_MACHINES["axis"](), BUILTIN_MACHINES["hframe"]()
 NOISE = 5e-6  # m
 ROWS = 1500

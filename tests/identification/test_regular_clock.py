@@ -6,15 +6,14 @@ import dataclasses
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from hframe_gym.arrays import Array
 from hframe_gym.machine import BUILTIN_MACHINES
 from hframe_gym.preparation.regular_clock import with_regular_clock
 from hframe_gym.preparation.usable import usable_run
 from hframe_gym.recordings import Recording
 
 pytestmark = pytest.mark.unit
-Array = NDArray[np.float64]
 AXIS = BUILTIN_MACHINES["axis"]()
 PERIOD = 4e-3  # s
 ROWS = 600

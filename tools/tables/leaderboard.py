@@ -19,9 +19,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.results_file import ROOT
+from hframe_gym.arrays import Array
 from hframe_gym.errors import InputError
 from hframe_gym.evaluation import (
     EFFECT_FAMILIES,
@@ -43,7 +43,6 @@ from tools.tables.result_tables import markdown
 FOLDER = ROOT / "benchmarks" / "leaderboard"
 BANDS = ("1mm", "0.2mm", "0.05mm")
 ABOUT = ("learned by", "observes", "uses of the model", "million steps", "training, s", "control, us")
-Array = NDArray[np.float64]
 
 
 def results(folder: Path = FOLDER) -> list[ResultFile]:
