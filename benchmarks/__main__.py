@@ -2,7 +2,7 @@
 
 python -m benchmarks            # run all that RESULTS.md needs, one after the other, then fill in its tables
 python -m benchmarks --list     # list the benchmarks and their questions
-python -m benchmarks NAME ...   # run these with their default options
+python -m benchmarks NAME ...   # run these, with the options that RESULTS.md states
 """
 
 from __future__ import annotations
@@ -11,31 +11,35 @@ import argparse
 import ast
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 FOLDER = Path(__file__).parent
-# Benchmarks whose results RESULTS.md contains, in the order of running, with their options.
-IN_RESULTS: dict[str, tuple[str, ...]] = {
-    "paper": (),
-    "accuracy": (),
-    "throughput": (),
-    "env_speed": (),
-    "differentiable": (),
-    "env_bits": (),
-    "env_soak": (),
-    "identification": ("examples", "all"),
-    "formulas": (),
-    "other_simulator_rigs": (),
-    "outside_library": ("--seed", "3"),
-    "coverage": (),
-    "real_machines": ("all",),
-    "controllers": (),
-    "bound": (),
-    "her": (),
-    "agents": ("score",),
-    "ray_scaling": (),
-    "closed_loop": (),
-}
+# Commands whose results RESULTS.md contains, in the order of running. gap-v1 has a command for each entry.
+IN_RESULTS = (
+    "paper",
+    "accuracy",
+    "first_step",
+    "throughput",
+    "env_speed",
+    "env_bits",
+    "env_soak",
+    "identification examples all",
+    "random_rigs --seed 20270501 --count 59",
+    "random_rigs --closed-loop --seed 20270126 --count 16",
+    "public_axes",
+    "closed_loop_rigs",
+    "outside_library --seed 3",
+    "other_simulator_rigs",
+    "coverage",
+    "real_machines all",
+    "her",
+    "bound",
+    "controllers",
+    "agents score",
+    "ray_scaling",
+    "closed_loop",
+)
 
 
 def benchmarks() -> dict[str, str]:
@@ -51,6 +55,12 @@ def benchmarks() -> dict[str, str]:
         name: ast.get_docstring(ast.parse(path.read_text("utf-8"))) for name, path in modules.items()
     }
     return {name: (docstring or "").splitlines()[0] for name, docstring in docstrings.items()}
+
+
+def commands(names: Sequence[str]) -> list[str]:
+    """Return the commands for RESULTS.md of some benchmarks, or their bare names; all commands for no names."""
+    for_results = [command for command in IN_RESULTS if not names or command.split()[0] in names]
+    return for_results + [name for name in names if not any(c.split()[0] == name for c in for_results)]
 
 
 def run(module: str, *options: str) -> None:
@@ -74,8 +84,9 @@ def main() -> None:
         for name, question in every.items():
             print(f"{name:18} {question}")
         return
-    for name in arguments.names or IN_RESULTS:
-        run(f"benchmarks.{name}", *IN_RESULTS.get(name, ()))
+    for command in commands(arguments.names):
+        name, *options = command.split()
+        run(f"benchmarks.{name}", *options)
     if not arguments.names:
         run("tools.tables")
 

@@ -7,7 +7,7 @@ import statistics
 from collections.abc import Iterable
 from typing import Any
 
-from tools.tables.result_tables import markdown, table
+from tools.tables.result_tables import load_results, markdown, table
 
 
 @table("controllers")
@@ -32,6 +32,35 @@ def bound(results: dict[str, Any]) -> str:
     return markdown(
         ["controller", "within 0.2 mm", "settling time, s", "ratio of means", "mean of ratios"], rows
     )
+
+
+@table("plain_ppo")
+def plain_ppo(results: dict[str, Any]) -> str:
+    """Format the ends of trainings with PPO's default hyperparameters, and with one setting changed."""
+    others = {
+        "-": "plain_ppo_envs_1",
+        "learning rate 1e-3": "plain_ppo_learning_rate_0.001",
+        "reward `dense`": "plain_ppo_reward_dense",
+    }
+    trainings = [("-", results), *((changed, load_results(name)) for changed, name in others.items())]
+    rows = []
+    for changed, content in trainings:
+        for run in content["runs"]:
+            last = run["curve"][-1]
+            below = [row["cpu_s"] for row in run["curve"] if row["median_mm"] < content["bar_mm"]]
+            rows.append(
+                [
+                    f"{content['envs']}",
+                    changed,
+                    f"{run['seed']}",
+                    f"{last['steps']}",
+                    f"{last['median_mm']:.2f} mm",
+                    f"{100 * last['within_1mm']:.0f} %",
+                    f"{below[0]:.0f} s" if below else "-",
+                ]
+            )
+    header = ["environments", "changed", "seed", "steps", "median", "within 1 mm", "below 1 mm first after"]
+    return markdown(header, rows)
 
 
 @table("agents")

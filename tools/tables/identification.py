@@ -5,11 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from tools.tables.result_tables import markdown, table
+from tools.tables.result_tables import load_results, markdown, table
 
 STAGES = ("declared", "before", "after")
 RANDOM_RIGS = "random_rigs_20270501"  # that is: of this seed, which was run once, for the published results
 RANDOM_RIGS_CLOSED = "random_rigs_closed_20270126"
+RANDOM_RIG_KINDS = {
+    "clean": "library effects or none",
+    "residue": "the same, with a residue",
+    "off_form": "effects 10 to 20 % off the library's form",
+    "outside": "effects outside the library",
+}
 IDENTIFICATION_SETS = (
     "library_full",
     "library_small",
@@ -94,13 +100,7 @@ def random_rigs(results: dict[str, Any]) -> str:
     """Format names, errors, standard deviations and time on rigs that were drawn at random, in open or closed loop."""
     content = results["summary"]
     rows = []
-    titles = {
-        "clean": "library effects or none",
-        "residue": "the same, with a residue",
-        "off_form": "effects 10 to 20 % off the library's form",
-        "outside": "effects outside the library",
-    }
-    for key, title in titles.items():
+    for key, title in RANDOM_RIG_KINDS.items():
         names, false = content["names"][key], content["false_names"][key]
         found = f"{names['identified']} of {names['effects']}" if names["effects"] else ""
         rows.append([title, str(names["rigs"]), str(names["right"]), found, str(false["with_false_name"])])
@@ -183,6 +183,24 @@ def ratio(counts: dict[str, int]) -> str:
 def quantiles(values: dict[str, float]) -> str:
     """Format median, 95 % quantile and the fraction within the limit."""
     return f"{values['median']:.3g}; {values['p95']:.3g}; {100 * values['within']:.0f} %"
+
+
+@table("random_rigs_totals", results=RANDOM_RIGS)
+def random_rigs_totals(results: dict[str, Any]) -> str:
+    """Format the totals of the rigs that were drawn at random, in open loop and under a position controller."""
+    rows = []
+    for title, content in (
+        ("voltages as programmed", results["summary"]),
+        ("voltages of a position controller", load_results(RANDOM_RIGS_CLOSED)["summary"]),
+    ):
+        names = [content["names"][key] for key in RANDOM_RIG_KINDS]
+        false = sum(content["false_names"][key]["with_false_name"] for key in RANDOM_RIG_KINDS)
+        total = {
+            key: sum(counts[key] for counts in names) for key in ("rigs", "right", "identified", "effects")
+        }
+        rows.append([title, f"{total['rigs']}", f"{total['right']}", ratio(total), f"{false}"])
+    header = ["rigs of an independent simulator", "number", "right", "effects identified"]
+    return markdown([*header, "rigs with a false name"], rows)
 
 
 @table("outside_library_3")
