@@ -54,6 +54,12 @@ def hframe() -> Machine:
 
 
 @pytest.fixture
+def axis() -> Machine:
+    """Return the single axis, with a voltage v_V and a position x_m, as declared."""
+    return BUILTIN_MACHINES["axis"]()
+
+
+@pytest.fixture
 def write_run(tmp_path: Path) -> Callable[..., Path]:
     """Return a function that writes a valid recording of 20 rows and returns its path.
 

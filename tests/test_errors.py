@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import pytest
-
 from hframe_gym.errors import merge_run_warnings, name_runs
-
-pytestmark = pytest.mark.unit
 
 
 def test_runs_are_named_in_short() -> None:

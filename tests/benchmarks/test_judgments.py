@@ -24,7 +24,6 @@ from hframe_gym.identification.judge.error import FitError
 from hframe_gym.identification.search import search_effects
 from tests.identification.scripted_fits import fit_with
 
-pytestmark = pytest.mark.unit
 WITHOUT, WITH = FitError(3e4, 1e4), FitError(2.7e4, 1e4)
 
 

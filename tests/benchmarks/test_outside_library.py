@@ -8,8 +8,6 @@ import pytest
 from benchmarks.outside_library import false_names, score_hint
 from tests.rigs.outside_effects import FAMILIES, OutsideEffect
 
-pytestmark = pytest.mark.unit
-
 
 def effect(family: str, site: str) -> OutsideEffect:
     """Return an effect of a family at a site."""

@@ -96,7 +96,6 @@ def test_the_sum_of_viscous_friction_and_back_emf_is_reported_and_not_each_alone
     assert stated == pytest.approx(100 * expected.relative_std, rel=0.05)
 
 
-@pytest.mark.unit
 @pytest.mark.parametrize(
     ("relative_std", "severity", "message"),
     [

@@ -12,7 +12,6 @@ from hframe_gym.identification import prepare
 from hframe_gym.machine import BUILTIN_MACHINES, AppliedEffect, Machine
 from hframe_gym.recordings import Recording
 
-pytestmark = pytest.mark.unit
 DECLARED = BUILTIN_MACHINES["hframe"]()
 AXIS = BUILTIN_MACHINES["axis"]()
 # The rig is not the declared machine.

@@ -8,8 +8,6 @@ import pytest
 from hframe_gym.dynamics import elementwise
 from hframe_gym.dynamics.physics.belts import reciprocals
 
-pytestmark = pytest.mark.unit
-
 UNARY = ("exp", "log", "sin", "cos", "tanh", "sqrt", "absolute", "sign", "floor")
 BINARY = ("minimum", "maximum", "copysign")
 

@@ -22,8 +22,6 @@ from hframe_gym.effects import EFFECTS
 from hframe_gym.machine import AppliedEffect, Machine, rest_state
 from tests.effects.one_of_each import CASES, START, Case, history
 
-pytestmark = pytest.mark.unit
-
 
 def stretched(machine: Machine) -> np.ndarray:
     """Return positions near the origin with stretched belts, in the coordinates' units."""

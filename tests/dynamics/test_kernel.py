@@ -22,8 +22,6 @@ from hframe_gym.dynamics.codegen import kernel, machine_code
 from hframe_gym.effects import EFFECTS
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 
-pytestmark = pytest.mark.unit
-
 GOLDEN = Path(__file__).with_name("golden_kernel_hframe.py")
 
 

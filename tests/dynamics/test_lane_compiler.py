@@ -18,8 +18,6 @@ from hframe_gym.dynamics.codegen.lane_compiler import LaneCompileError, compile_
 from hframe_gym.dynamics.codegen.lane_program import FORMULAS, LaneProgram
 from tests.dynamics.lanes import run
 
-pytestmark = pytest.mark.unit
-
 NUMBERS = st.lists(st.floats(-1e6, 1e6), min_size=LANES, max_size=LANES)
 ARITHMETIC = """
 def f(A, out, h: float, n: int):

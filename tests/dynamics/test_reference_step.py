@@ -11,8 +11,6 @@ from hframe_gym.dynamics.simulation import parameter_batch
 from hframe_gym.machine import BUILTIN_MACHINES, Machine, rest_state
 from tests.effects.one_of_each import CASES, START, Case
 
-pytestmark = pytest.mark.unit
-
 STEP = 0.25e-3  # s
 STEPS = 48
 HOLD = 6  # steps for which a voltage is held; short, so that coordinates stop and reverse

@@ -32,8 +32,6 @@ from hframe_gym.machine import BUILTIN_MACHINES, Machine, draw_machine
 from hframe_gym.recordings import load_machine, save_machine
 from tests.effects.one_of_each import CASES, history
 
-pytestmark = pytest.mark.unit
-
 TABLE = {f"k{i:02d}": 0.01 * i for i in range(KNOTS)} | {f"f{i:02d}": 0.1 * i for i in range(KNOTS)}
 ADDED = {
     "yaw",

@@ -14,7 +14,6 @@ from tests import reference_simulator as reference
 from tests.reference_simulator import Rig
 
 ORACLE = pytest.mark.oracle
-UNIT = pytest.mark.unit
 TIME = np.arange(401) * 1e-3
 START = (0.08, -0.05)
 RADII = np.array([1.0, 1.0, 0.0194, 0.0194])
@@ -77,7 +76,6 @@ def test_effects_at_carriage_and_motor(
     assert difference(hframe, rig, 11) > 5e-5
 
 
-@UNIT
 def test_static_friction_does_not_creep(hframe: Machine) -> None:
     """Below breakaway the belts stretch, then nothing moves for 10 s."""
     time = np.arange(1001) * 1e-2
@@ -86,14 +84,12 @@ def test_static_friction_does_not_creep(hframe: Machine) -> None:
     np.testing.assert_array_equal(trajectory.velocities[-1], 0.0)
 
 
-@UNIT
 def test_machine_at_rest_stays_at_rest(hframe: Machine) -> None:
     """Without voltage nothing moves."""
     trajectory = simulate(hframe, TIME, np.zeros((401, 2)))
     np.testing.assert_array_equal(trajectory.positions, 0.0)
 
 
-@UNIT
 @pytest.mark.parametrize("batch", [1, 7, 4096])
 def test_bits_do_not_depend_on_batch_or_threads(
     batch: int, hframe: Machine, monkeypatch: pytest.MonkeyPatch
@@ -123,7 +119,6 @@ def test_integrator_is_of_second_order(hframe: Machine) -> None:
     assert errors[0] / errors[1] > 8
 
 
-@UNIT
 def test_energy_is_conserved_without_friction_and_drives(hframe: Machine) -> None:
     """Stretched belts oscillate; the force 1/2 s^2 dk/dq closes the balance."""
     coordinates = tuple(dataclasses.replace(c, viscous=0.0, coulomb=0.0) for c in hframe.coordinates)
@@ -143,7 +138,6 @@ def test_energy_is_conserved_without_friction_and_drives(hframe: Machine) -> Non
     assert total[-1] == pytest.approx(total[0], rel=1e-4)
 
 
-@UNIT
 @pytest.mark.parametrize(
     ("time", "inputs", "message"),
     [
@@ -162,7 +156,6 @@ def test_invalid_input_is_refused(
         simulate(hframe, time, inputs)
 
 
-@UNIT
 def test_measurements_without_gains_correct_nothing() -> None:
     """Without observer gains, measurements leave the simulation unchanged."""
     machine = BUILTIN_MACHINES["axis"]()
@@ -171,7 +164,6 @@ def test_measurements_without_gains_correct_nothing() -> None:
     assert np.array_equal(free, observed)
 
 
-@UNIT
 def test_divergence_is_reported(hframe: Machine) -> None:
     """In one line, with time and coordinate."""
     stiff = hframe.replace({"left.EA": 1e15})
@@ -181,7 +173,6 @@ def test_divergence_is_reported(hframe: Machine) -> None:
         simulate(stiff, TIME, np.zeros((401, 2)), start)
 
 
-@UNIT
 def test_axis_reaches_its_steady_speed() -> None:
     """The closed form is (gain V - F) / (b + back-EMF)."""
     machine = BUILTIN_MACHINES["axis"]()

@@ -11,8 +11,6 @@ from hframe_gym.dynamics import elementwise
 from hframe_gym.dynamics.symbolic.expressions import function_source
 from hframe_gym.dynamics.symbolic.tracing import Trace
 
-pytestmark = pytest.mark.unit
-
 
 def run(trace: Trace, **arguments: Any) -> list[float]:
     """Execute the source of a trace on plain numbers; return what it stored, by row."""

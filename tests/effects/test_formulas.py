@@ -25,7 +25,6 @@ from hframe_gym.effects.smooth_table import KNOTS, definition
 from hframe_gym.errors import InputError
 from hframe_gym.machine import BUILTIN_MACHINES, AppliedEffect, Machine
 
-pytestmark = pytest.mark.unit
 pytest.importorskip("sklearn")
 Function = Callable[[np.ndarray], np.ndarray]
 

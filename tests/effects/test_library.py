@@ -27,8 +27,6 @@ from hframe_gym.machine import (
 )
 from tests.effects.one_of_each import CASES, Case, history
 
-pytestmark = pytest.mark.unit
-
 EVERY_EFFECT = pytest.mark.parametrize("effect", EFFECTS.values(), ids=EFFECTS)
 WITH_AMPLITUDE = {name: case for name, case in CASES.items() if EFFECTS[name].amplitudes}
 PLAIN_UNITS = {

@@ -15,8 +15,6 @@ from hframe_gym.dynamics.elementwise import maximum, sign, tanh
 from hframe_gym.effects import EFFECTS, effect_sites, get_effect, register_effect, unregister_effect
 from hframe_gym.machine import BUILTIN_MACHINES, Effect, EffectParameter, Machine
 
-pytestmark = pytest.mark.unit
-
 EXPONENT = 3
 
 

@@ -16,8 +16,6 @@ from hframe_gym.identification.search.tables import table_candidates
 from hframe_gym.machine import Machine
 from tests.identification.axis_results import AXIS, axis_runs
 
-pytestmark = pytest.mark.unit
-
 
 def motion(rate: float, kind: str = "force") -> tuple[np.ndarray, np.ndarray | None]:
     """Return position, velocity and the force of a sine of position, beside viscous and dry friction; its factor."""

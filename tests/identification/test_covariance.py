@@ -20,13 +20,6 @@ from hframe_gym.identification.predict.prediction import SIMULATION
 from hframe_gym.machine import BUILTIN_MACHINES, Coordinate, Machine, Uncertainty
 from hframe_gym.recordings import Recording
 
-pytestmark = pytest.mark.unit
-
-
-@pytest.fixture
-def axis() -> Machine:
-    return BUILTIN_MACHINES["axis"]()
-
 
 def with_standard_deviations(
     machine: Machine, relative_std: dict[str, float], correlation: float = 0.0

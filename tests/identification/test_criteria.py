@@ -12,8 +12,6 @@ import pytest
 
 from hframe_gym.identification import SelectionCriteria, judge
 
-pytestmark = pytest.mark.unit
-
 
 def test_every_threshold_is_documented_and_printed() -> None:
     criteria = SelectionCriteria(max_effects=3)

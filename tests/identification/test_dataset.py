@@ -12,7 +12,6 @@ from hframe_gym.preparation.session import with_all_measurements
 from hframe_gym.preparation.usable import usable_run
 from hframe_gym.recordings import Recording
 
-pytestmark = pytest.mark.unit
 QUANTUM = 5.2e-4
 
 

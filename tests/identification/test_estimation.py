@@ -47,7 +47,6 @@ def test_fit_recovers_the_parameters_of_the_reference_simulator(hframe: Machine,
     assert values["motor2.Kt"] * unit == pytest.approx(gains[1], rel=0.01)
 
 
-@pytest.mark.unit
 def test_fit_reports_the_cost_of_its_machine(hframe: Machine, data: Dataset) -> None:
     two_runs = data.with_runs([run.name for run in data.runs[:2]])
     fitted = fit(hframe, default_free_parameters(hframe), two_runs, SEARCH_BANDWIDTH, iterations=3)
@@ -56,7 +55,6 @@ def test_fit_reports_the_cost_of_its_machine(hframe: Machine, data: Dataset) -> 
     assert fitted.chi2 == fitted.cost / two_runs.count
 
 
-@pytest.mark.unit
 def test_a_tight_prior_keeps_the_declared_parameters(hframe: Machine, data: Dataset) -> None:
     tight = [dataclasses.replace(f, prior=1e-9) for f in default_free_parameters(hframe)]
     fitted = fit(hframe, tight, data.with_runs([data.runs[0].name]), SEARCH_BANDWIDTH)
@@ -67,7 +65,6 @@ def test_a_tight_prior_keeps_the_declared_parameters(hframe: Machine, data: Data
     np.testing.assert_allclose(fitted.theta, 0.0, atol=1e-8)
 
 
-@pytest.mark.unit
 def test_a_linear_parameter_may_exceed_its_typical_size_by_far(hframe: Machine, data: Dataset) -> None:
     mass = hframe.parameters["x.mass"]
     free = FreeParameter("x.mass", 0.5 * mass, prior=10.0, scale=mass / 100)
@@ -79,7 +76,6 @@ def test_a_linear_parameter_may_exceed_its_typical_size_by_far(hframe: Machine, 
     assert fitted.values["x.mass"] == pytest.approx(near.values["x.mass"], rel=0.01)
 
 
-@pytest.mark.unit
 def test_a_start_from_which_the_machine_diverges_has_an_infinite_cost(hframe: Machine, data: Dataset) -> None:
     machine = hframe.with_effects(EFFECTS["cable_spring"].at("x", k=-1e6, q0=0.0))
     free = FreeParameter("cable_spring@x.k", -1e6, prior=10.0, scale=1e-6, lower=-1e6, upper=1e6)
@@ -87,7 +83,6 @@ def test_a_start_from_which_the_machine_diverges_has_an_infinite_cost(hframe: Ma
     assert fitted.cost == math.inf
 
 
-@pytest.mark.unit
 @pytest.mark.parametrize("rounded", [False, True])
 def test_a_step_within_limits_is_the_best_one_there(rounded: bool) -> None:
     """The unlimited minimum is outside the limits. Rounding may give the matrix a negative eigenvalue."""
@@ -112,7 +107,6 @@ def test_a_step_within_limits_is_the_best_one_there(rounded: bool) -> None:
     assert cost(step[None])[0] <= cost(grid).min() + 1e-6
 
 
-@pytest.mark.unit
 @pytest.mark.parametrize("on_any_platform", [False, True])
 def test_a_step_is_finite_where_bounded_least_squares_divides_by_zero(
     on_any_platform: bool, monkeypatch: pytest.MonkeyPatch
@@ -151,7 +145,6 @@ def test_a_step_is_finite_where_bounded_least_squares_divides_by_zero(
     assert np.all((slope < near) | (step < lower + near))
 
 
-@pytest.mark.unit
 def test_a_step_keeps_linear_parameters_within_their_bounds() -> None:
     free = [FreeParameter("a", 2.0, prior=0.5, scale=2.0, lower=1.0, upper=6.0)]
     for gradient, value in ((1e3, 1.0), (-1e3, 6.0), (-1.0, 4.0)):
@@ -159,7 +152,6 @@ def test_a_step_keeps_linear_parameters_within_their_bounds() -> None:
         assert free[0].value(step) == pytest.approx([value])
 
 
-@pytest.mark.unit
 @pytest.mark.parametrize(("viscous", "back_emf"), [(0.1, 0.6), (0.15, 0.7)])
 def test_parameters_that_act_alike_converge_to_the_most_probable_values(
     viscous: float, back_emf: float

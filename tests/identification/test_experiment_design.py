@@ -31,8 +31,6 @@ from hframe_gym.identification.report.experiment_design import (
 from hframe_gym.machine import BUILTIN_MACHINES, Machine, Uncertainty
 from hframe_gym.recordings import Recording, load_recording
 
-pytestmark = pytest.mark.unit
-
 PRESET = BUILTIN_MACHINES["axis"]()
 AXIS = PRESET.replace(coordinates=(dataclasses.replace(PRESET.coordinates[0], range=None),))
 CONSTANT_FORCE = AXIS.with_effects(EFFECTS["constant_force"].at("x", size=0.15))

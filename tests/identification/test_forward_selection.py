@@ -21,7 +21,6 @@ from tests.identification.scripted_fits import (
     selected,
 )
 
-pytestmark = pytest.mark.unit
 DAHL = EFFECTS["dahl_hysteresis"].at("x", F=0.3, L=1e-3)
 
 

@@ -21,8 +21,6 @@ from hframe_gym.recordings import Recording
 from tests.identification.axis_results import axis_runs
 from tests.identification.scripted_fits import AXIS, DRAG, FRAME, PUSH, selected
 
-pytestmark = pytest.mark.unit
-
 
 def voltages(kind: str, seed: int, rate: float = 1000.0, duration: float = 2.0) -> np.ndarray:
     """Return voltages of up to 5 V of a kind of motion, which random numbers vary, shape (n,)."""

@@ -25,17 +25,10 @@ from hframe_gym.identification.predict.prediction import SIMULATION
 from hframe_gym.identification.propose.trial_fits import without_effect
 from hframe_gym.identification.search.checked_search import _contradicting_runs, without_unconfirmed
 from hframe_gym.identification.search.search_effects import SearchOutcome
-from hframe_gym.machine import BUILTIN_MACHINES, Machine
+from hframe_gym.machine import Machine
 from hframe_gym.recordings import Recording
 
-pytestmark = pytest.mark.unit
 NOISE = 20e-6  # m
-
-
-@pytest.fixture
-def axis() -> Machine:
-    """Return the built-in axis."""
-    return BUILTIN_MACHINES["axis"]()
 
 
 def recorded(machine: Machine, seed: int) -> Recording:

@@ -25,7 +25,6 @@ from hframe_gym.machine import Machine
 from hframe_gym.recordings import Recording
 from tests.identification.axis_results import AXIS
 
-pytestmark = pytest.mark.unit
 RIG = AXIS.with_effects(EFFECTS["stribeck_friction"].at("x", dF=0.3, vs=0.1))
 
 

@@ -12,17 +12,11 @@ from hframe_gym.machine import Machine
 from hframe_gym.preparation.initial_rest import count_resting_rows, initial_rest, without_moving_start
 from hframe_gym.preparation.rest_measurement import estimate_initial_state
 from hframe_gym.preparation.sensor_zeros import sensor_zero_error
-from hframe_gym.recordings import Recording, load_machine
+from hframe_gym.recordings import Recording
 
-pytestmark = pytest.mark.unit
 NOISE = 20e-6  # m
 ROWS, REST = 1000, 150
 COUNT = 25e-6  # m, of an encoder
-
-
-@pytest.fixture(scope="module")
-def axis() -> Machine:
-    return load_machine("axis")
 
 
 def run(motion: np.ndarray, seed: int = 0, late: int = 0) -> Recording:

@@ -15,7 +15,6 @@ from hframe_gym.preparation.belt_stretch import rigid_basis, stretch_angles
 from hframe_gym.preparation.rest_measurement import InitialVelocity, estimate_initial_state, initial_velocity
 from hframe_gym.recordings import Recording, load_machine
 
-pytestmark = pytest.mark.unit
 NOISE = 20e-6  # m
 
 

@@ -17,7 +17,6 @@ from hframe_gym.identification.search.input_timing import with_input_timing
 from hframe_gym.identification.search.search_effects import SearchOutcome
 from tests.identification.scripted_fits import COUNT, CRITERIA, PUSH, fit_with, runs, selected
 
-pytestmark = pytest.mark.unit
 DELAY = EFFECTS["input_delay"].at("drives", d=2e-4)
 LAG = EFFECTS["electrical_lag"].at("motor", tau=2e-4)
 WIDE = 300.0  # rad/s; 0.3 rad per sampling period of 1 ms

@@ -11,8 +11,6 @@ from hframe_gym.identification.fit.force_sizes import force_error
 from hframe_gym.machine import AppliedEffect, Coordinate, Drive, Machine, Sensor
 from hframe_gym.recordings import Recording
 
-pytestmark = pytest.mark.unit
-
 
 def axis(mass: float, viscous: float) -> Machine:
     """Return an axis with 2 N/V and no back-EMF."""

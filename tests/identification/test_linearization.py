@@ -21,8 +21,6 @@ from hframe_gym.machine import BUILTIN_MACHINES, Coordinate, Machine
 from hframe_gym.recordings import Recording
 from tests.example_runs import example_runs
 
-pytestmark = pytest.mark.unit
-
 
 @pytest.fixture
 def cart() -> Machine:

@@ -21,7 +21,6 @@ from hframe_gym.identification.validate.recording_simulation import simulate_rec
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import Recording
 
-pytestmark = pytest.mark.unit
 AXIS, HFRAME = BUILTIN_MACHINES["axis"](), BUILTIN_MACHINES["hframe"]()
 NOISE = 5e-6  # m
 ROWS = 1500

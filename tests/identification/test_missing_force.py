@@ -24,8 +24,6 @@ from hframe_gym.machine import BUILTIN_MACHINES, AppliedEffect, Machine
 from hframe_gym.preparation.session import prepare
 from hframe_gym.recordings import Recording
 
-pytestmark = pytest.mark.unit
-
 
 @pytest.mark.parametrize("axis", ["x", "y"])
 def test_encoders_alone_show_the_period_of_the_friction_of_a_carriage(hframe: Machine, axis: str) -> None:

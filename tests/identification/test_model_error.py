@@ -30,22 +30,15 @@ from hframe_gym.identification.fit.model_error import (
 from hframe_gym.identification.predict.free_parameters import FreeParameter
 from hframe_gym.identification.predict.normal_equations import NormalEquations
 from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH
-from hframe_gym.machine import BUILTIN_MACHINES, Machine
+from hframe_gym.machine import Machine
 from hframe_gym.recordings import Recording
 from tests.identification.scripted_fits import DATA, HFRAME, fit_with
 
-pytestmark = pytest.mark.unit
 NOISE = 20e-6  # m
 TABLE = definition("smooth_friction[time]").at(
     "x", **{f"{c}{i:02d}": float(i) for c in "kf" for i in range(KNOTS)}
 )
 ROWS = 1500
-
-
-@pytest.fixture
-def axis() -> Machine:
-    """Return the built-in axis."""
-    return BUILTIN_MACHINES["axis"]()
 
 
 def smoothed(values: np.ndarray, rows: int) -> np.ndarray:

@@ -25,17 +25,10 @@ from hframe_gym.identification.search.tables import (
     knots_at_bends,
     proposed_tables,
 )
-from hframe_gym.machine import BUILTIN_MACHINES, Machine
+from hframe_gym.machine import Machine
 from hframe_gym.recordings import Recording
 
-pytestmark = pytest.mark.unit
 NOISE = 20e-6  # m
-
-
-@pytest.fixture
-def axis() -> Machine:
-    """Return the built-in axis."""
-    return BUILTIN_MACHINES["axis"]()
 
 
 def runs_with_cable(axis: Machine, stiffness: float, offsets: tuple[float, ...]) -> tuple[Fit, Dataset]:

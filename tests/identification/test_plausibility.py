@@ -16,8 +16,6 @@ from hframe_gym.identification.evidence.plausibility import (
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from tests.effects.one_of_each import CASES, Case
 
-pytestmark = pytest.mark.unit
-
 ON_BELTS = {name: case for name, case in CASES.items() if EFFECTS[name].tension}
 
 

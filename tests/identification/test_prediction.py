@@ -22,14 +22,6 @@ from hframe_gym.identification.predict.prediction import (
 from hframe_gym.machine import BUILTIN_MACHINES, Machine, rest_state
 from hframe_gym.recordings import Recording
 
-pytestmark = pytest.mark.unit
-
-
-@pytest.fixture
-def axis() -> Machine:
-    """Return the built-in axis."""
-    return BUILTIN_MACHINES["axis"]()
-
 
 def recorded(machine: Machine, name: str = "run", rows: int = 600) -> Recording:
     """Return a noise-free recording of a machine: at rest for 100 ms, then a voltage step."""

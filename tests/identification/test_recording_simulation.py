@@ -32,7 +32,6 @@ from hframe_gym.preparation.session import prepare_session
 from hframe_gym.preparation.usable import rest_and_noise
 from hframe_gym.recordings import Recording, fill_gaps, load_machine, save_machine
 
-pytestmark = pytest.mark.unit
 RADIUS = 0.0194
 QUANTUM = 5.2e-4  # rad
 ZEROS = np.array([0.31, -0.22])  # rad

@@ -13,7 +13,6 @@ from hframe_gym.preparation.regular_clock import with_regular_clock
 from hframe_gym.preparation.usable import usable_run
 from hframe_gym.recordings import Recording
 
-pytestmark = pytest.mark.unit
 AXIS = BUILTIN_MACHINES["axis"]()
 PERIOD = 4e-3  # s
 ROWS = 600

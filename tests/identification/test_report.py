@@ -40,7 +40,6 @@ from hframe_gym.machine import BUILTIN_MACHINES, Machine, Uncertainty
 from hframe_gym.web_page import Panel, save_panels
 from tests.identification.axis_results import AXIS, PRESLIDING, axis_result, axis_runs
 
-pytestmark = pytest.mark.unit
 STRIBECK = AXIS.with_effects(EFFECTS["stribeck_friction"].at("x", dF=0.8, vs=0.02))
 CURVE = {f"k{i:02d}": 0.01 * i - 0.12 for i in range(KNOTS)} | {
     f"f{i:02d}": 0.1 * np.sin(i) for i in range(KNOTS)

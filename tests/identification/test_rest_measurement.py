@@ -15,7 +15,6 @@ from hframe_gym.preparation.sensor_zeros import sensor_zero_error
 from hframe_gym.preparation.session_zeros import common_encoder_zeros
 from hframe_gym.recordings import Recording
 
-pytestmark = pytest.mark.unit
 RADIUS = 0.0194
 
 

@@ -17,7 +17,6 @@ from hframe_gym.identification.propose.dependences import rank_dependences
 from hframe_gym.machine import BUILTIN_MACHINES, Machine, rest_state
 from hframe_gym.recordings import Recording
 
-pytestmark = pytest.mark.unit
 DRAG = EFFECTS["quadratic_drag"].at("x", c=30.0)
 NOISE = 20e-6  # m
 

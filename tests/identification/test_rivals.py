@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 
-import pytest
-
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import default_free_parameters, fit
 from hframe_gym.identification.evidence import rivals
@@ -14,7 +12,6 @@ from hframe_gym.identification.predict.prediction import POLISH_STEP
 from tests.identification.axis_results import axis_runs
 from tests.identification.scripted_fits import AXIS, CRITERIA, DRAG, HFRAME, PUSH, SPRING, fit_with
 
-pytestmark = pytest.mark.unit
 VOLTAGE_OFFSET = EFFECTS["voltage_offset"]
 
 

@@ -18,7 +18,6 @@ from hframe_gym.identification.propose.trial_fits import trial_fits
 from hframe_gym.machine import BUILTIN_MACHINES, AppliedEffect, Belt, Coordinate, Machine
 from hframe_gym.recordings import Recording
 
-pytestmark = pytest.mark.unit
 NOISE = 20e-6  # m
 THRESHOLD = 0.8  # V
 

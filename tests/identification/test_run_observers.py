@@ -9,17 +9,9 @@ from hframe_gym.identification.fit.covariance import with_uncertainty
 from hframe_gym.identification.fit.estimation import prediction_costs
 from hframe_gym.identification.fit.model_error import fit_with_model_error
 from hframe_gym.identification.fit.run_observers import fit_run_by_run
-from hframe_gym.machine import BUILTIN_MACHINES, Machine
+from hframe_gym.machine import Machine
 from hframe_gym.preparation.dataset import RunObserver
 from tests.identification.test_model_error import fitted_axis, recordings
-
-pytestmark = pytest.mark.unit
-
-
-@pytest.fixture
-def axis() -> Machine:
-    """Return the built-in axis."""
-    return BUILTIN_MACHINES["axis"]()
 
 
 @pytest.mark.parametrize("force", [0.02, 0.3])

@@ -18,7 +18,6 @@ from hframe_gym.identification.report.saved_result import load_result
 from hframe_gym.machine import BUILTIN_MACHINES
 from hframe_gym.recordings import load_machine, save_machine
 
-pytestmark = pytest.mark.unit
 Damage = Callable[[Path], object]
 
 

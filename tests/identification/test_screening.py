@@ -13,10 +13,9 @@ from hframe_gym.identification.fit.force_sizes import typical_scales
 from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH, SIMULATION, predict
 from hframe_gym.identification.propose.candidates import Candidate
 from hframe_gym.identification.propose.screening import candidate_perturbations, screen_structures
-from hframe_gym.machine import BUILTIN_MACHINES, Machine
+from hframe_gym.machine import Machine
 from hframe_gym.recordings import Recording
 
-pytestmark = pytest.mark.unit
 NOISE = 20e-6
 
 
@@ -38,12 +37,6 @@ CANDIDATES = [
     candidate("asymmetric_viscous", "x", a=0.1),
     candidate("cable_spring", "x", k=10.0, q0=0.0),
 ]
-
-
-@pytest.fixture
-def axis() -> Machine:
-    """Return the built-in axis."""
-    return BUILTIN_MACHINES["axis"]()
 
 
 def fit_without_effect(axis: Machine, effect_size: float) -> tuple[Fit, Dataset]:

@@ -24,8 +24,6 @@ from tests.identification.scripted_fits import (
     selected,
 )
 
-pytestmark = pytest.mark.unit
-
 
 class ScriptedSearch:
     """Replaces what `search_effects` calls: fits have the chi-squared that `chi2_of` gives by the effects' labels."""

@@ -18,7 +18,6 @@ from hframe_gym.preparation.sensor_properties import (
 )
 from hframe_gym.recordings import Recording, quantum_of
 
-pytestmark = pytest.mark.unit
 QUANTUM = 5.2e-4
 RADIUS = 0.0194
 NOISE = np.array([1.5e-4, 1.5e-4, 2e-5, 2e-5])

@@ -32,8 +32,6 @@ from tests.identification.scripted_fits import (
     fit_with,
 )
 
-pytestmark = pytest.mark.unit
-
 
 @pytest.fixture
 def axis_data() -> Dataset:

@@ -25,22 +25,8 @@ from hframe_gym.identification.predict.start_uncertainty import (
     start_displacements,
     uncertain_starts,
 )
-from hframe_gym.machine import BUILTIN_MACHINES, Machine, rest_state
+from hframe_gym.machine import Machine, rest_state
 from hframe_gym.recordings import Recording
-
-pytestmark = pytest.mark.unit
-
-
-@pytest.fixture
-def axis() -> Machine:
-    """Return the built-in axis."""
-    return BUILTIN_MACHINES["axis"]()
-
-
-@pytest.fixture
-def hframe() -> Machine:
-    """Return the built-in stage."""
-    return BUILTIN_MACHINES["hframe"]()
 
 
 def moving_run(machine: Machine, state: np.ndarray) -> Recording:

@@ -17,8 +17,6 @@ from hframe_gym.identification.propose.trial_fits import _ranked_candidates
 from hframe_gym.machine import Machine
 from tests.identification.axis_results import AXIS, axis_runs
 
-pytestmark = pytest.mark.unit
-
 PERIOD = 0.0137  # m
 FRICTION = EFFECTS["position_friction"]
 RIG = AXIS.with_effects(FRICTION.at("x", A=0.4, L=PERIOD, p=0.3))

@@ -14,16 +14,8 @@ from hframe_gym.identification.fit.estimation import Fit
 from hframe_gym.identification.judge.criteria import SelectionCriteria
 from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH
 from hframe_gym.identification.propose import trial_fits
-from hframe_gym.machine import BUILTIN_MACHINES, Machine
+from hframe_gym.machine import Machine
 from hframe_gym.recordings import Recording
-
-pytestmark = pytest.mark.unit
-
-
-@pytest.fixture
-def axis() -> Machine:
-    """Return the built-in axis."""
-    return BUILTIN_MACHINES["axis"]()
 
 
 def recordings(machine: Machine, count: int) -> list[Recording]:

@@ -27,7 +27,6 @@ from hframe_gym.recordings import Recording
 from tests.identification.axis_results import AXIS
 from tests.identification.test_pipeline import limited_runs
 
-pytestmark = pytest.mark.unit
 CRITERIA = SelectionCriteria()
 EXACT = Evidence(left=1.0, left_before=1.0, motion=1e-4, lacking=1e-6, remaining_prediction=1.0)
 

@@ -39,7 +39,6 @@ from hframe_gym.identification.predict.voltage_errors import (
 from hframe_gym.machine import BUILTIN_MACHINES
 from hframe_gym.recordings import Recording
 
-pytestmark = pytest.mark.unit
 Array = NDArray[np.float64]
 AXIS = BUILTIN_MACHINES["belt-axis"]()
 RIG = AXIS.replace({"x.mass": 1.1 * AXIS.parameters["x.mass"]})

@@ -19,7 +19,6 @@ from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.preparation.voltage_updates import at_updates, update_times, updated_inputs
 from hframe_gym.recordings import Recording
 
-pytestmark = pytest.mark.unit
 Array = NDArray[np.float64]
 AXIS = BUILTIN_MACHINES["axis"]()
 RIG = AXIS.replace({"x.mass": 1.1 * AXIS.coordinates[0].mass, "x.coulomb": 0.8 * AXIS.coordinates[0].coulomb})

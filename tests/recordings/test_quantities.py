@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hframe_gym.errors import InputError
-from hframe_gym.machine import BUILTIN_MACHINES, Machine
+from hframe_gym.machine import Machine
 from hframe_gym.recordings import ImportSettings, MappingOptions, Recording, import_logs, load_recordings
 from hframe_gym.recordings.quantities import QUANTITIES, meaning_of, normalize_unit, split_unit
 
@@ -93,12 +93,6 @@ def test_every_unit_is_recognized_in_the_spelling_of_the_table_and_belongs_to_on
         for unit in quantity.units:
             assert normalize_unit(f"[{unit}]") == unit
             assert meaning_of("Wert", unit).quantity == name
-
-
-@pytest.fixture
-def axis() -> Machine:
-    """Return a machine with a voltage v_V and a position x_m."""
-    return BUILTIN_MACHINES["axis"]()
 
 
 @pytest.fixture

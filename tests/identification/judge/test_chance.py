@@ -9,7 +9,6 @@ import pytest
 from hframe_gym.identification import SelectionCriteria
 from hframe_gym.identification.judge.chance import LongRunVariance, chance_gain, exceeds_chance
 
-pytestmark = pytest.mark.unit
 CRITERIA = SelectionCriteria()
 
 

@@ -22,7 +22,6 @@ from hframe_gym.identification.judge.effect import (
 )
 from hframe_gym.identification.judge.error import FitError
 
-pytestmark = pytest.mark.unit
 CRITERIA = SelectionCriteria()
 COUNT = 1e4
 

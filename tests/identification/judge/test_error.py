@@ -15,7 +15,6 @@ from hframe_gym.identification.judge.error import (
     unexplained_fraction,
 )
 
-pytestmark = pytest.mark.unit
 CRITERIA = SelectionCriteria()
 
 

@@ -9,8 +9,6 @@ import pytest
 from hframe_gym.identification.judge import held_out as judge
 from hframe_gym.identification.judge.held_out import HeldOutEffect
 
-pytestmark = pytest.mark.unit
-
 
 @pytest.mark.parametrize(
     ("gain", "simulated", "counts"),

@@ -9,8 +9,6 @@ import pytest
 
 from hframe_gym.identification.judge.observer import likeliest, simulates_best, simulates_better
 
-pytestmark = pytest.mark.unit
-
 
 @pytest.mark.parametrize(
     ("losses", "expected"),

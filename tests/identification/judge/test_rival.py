@@ -10,7 +10,6 @@ from hframe_gym.identification.judge.chance import LongRunVariance, chance_gain
 from hframe_gym.identification.judge.error import FitError
 from hframe_gym.identification.judge.rival import RivalEvidence
 
-pytestmark = pytest.mark.unit
 CRITERIA = SelectionCriteria()
 
 

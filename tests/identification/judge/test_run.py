@@ -11,7 +11,6 @@ from hframe_gym.identification.judge import run as judge
 from hframe_gym.identification.judge.error import FitError
 from hframe_gym.identification.judge.run import HeldOutRun
 
-pytestmark = pytest.mark.unit
 CRITERIA = SelectionCriteria()
 
 

@@ -8,8 +8,6 @@ import pytest
 
 from hframe_gym.identification.judge.sensor import SensorEvidence, deviates_alone
 
-pytestmark = pytest.mark.unit
-
 
 @pytest.mark.parametrize(
     ("noise_ratio", "others", "alone"),

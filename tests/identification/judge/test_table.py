@@ -11,7 +11,6 @@ from hframe_gym.identification.judge import table as judge
 from hframe_gym.identification.judge.error import FitError
 from hframe_gym.identification.judge.table import TableEvidence
 
-pytestmark = pytest.mark.unit
 CRITERIA = SelectionCriteria()
 
 

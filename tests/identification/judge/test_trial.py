@@ -12,7 +12,6 @@ from hframe_gym.identification.judge import trial as judge
 from hframe_gym.identification.judge.error import FitError
 from hframe_gym.identification.judge.trial import StructureEvidence
 
-pytestmark = pytest.mark.unit
 CRITERIA = SelectionCriteria()
 
 

@@ -11,7 +11,6 @@ from hframe_gym.identification.judge.cause import CauseEvidence
 from hframe_gym.identification.judge.error import FitError
 from hframe_gym.identification.judge.verdict import DriftEvidence, PartialEvidence, Verdict
 
-pytestmark = pytest.mark.unit
 CRITERIA = SelectionCriteria()
 
 

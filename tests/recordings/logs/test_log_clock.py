@@ -8,14 +8,8 @@ import numpy as np
 import pytest
 
 from hframe_gym.errors import InputError
-from hframe_gym.machine import BUILTIN_MACHINES, Machine
+from hframe_gym.machine import Machine
 from hframe_gym.recordings import ImportSettings, MappingOptions, Recording, import_logs, load_recordings
-
-
-@pytest.fixture
-def axis() -> Machine:
-    """Return a machine with a voltage v_V and a position x_m."""
-    return BUILTIN_MACHINES["axis"]()
 
 
 def imported(

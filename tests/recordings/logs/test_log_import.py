@@ -847,12 +847,6 @@ def test_a_log_of_many_columns_gets_a_short_table(table: Table, hframe: Machine,
 
 
 @pytest.fixture
-def axis() -> Machine:
-    """Return the machine with a single axis."""
-    return BUILTIN_MACHINES["axis"]()
-
-
-@pytest.fixture
 def session(axis: Machine) -> tuple[Recording, np.ndarray]:
     """Return a log of four moves with rests of 1, 2, 0.2, 1 and 0.7 s, and the times of their edges."""
     edges = np.cumsum([1.0, 1.5, 2.0, 1.5, 0.2, 1.5, 1.0, 1.5, 0.7])

@@ -10,19 +10,13 @@ import numpy as np
 import pytest
 
 from hframe_gym.errors import InputError
-from hframe_gym.machine import BUILTIN_MACHINES, Machine
+from hframe_gym.machine import Machine
 from hframe_gym.recordings import ImportSettings, MappingOptions, import_logs, load_recordings, save_machine
 
 TESTS = ("slow-forward", "slow-backward", "fast-forward", "fast-backward")
 TIME = 100.0 + np.arange(50) * 5e-3
 VOLTAGE = np.linspace(0.0, 2.0, 50)
 ROTATIONS = 0.1 * (TIME - 100.0) ** 2
-
-
-@pytest.fixture
-def axis() -> Machine:
-    """Return a machine with a voltage v_V and a position x_m."""
-    return BUILTIN_MACHINES["axis"]()
 
 
 def sysid_file(columns: int, **entries: Any) -> dict[str, Any]:

@@ -9,15 +9,10 @@ import numpy as np
 import pytest
 
 from hframe_gym.errors import InputError
-from hframe_gym.machine import BUILTIN_MACHINES, Machine
+from hframe_gym.machine import Machine
 from hframe_gym.recordings import ImportSettings, MappingOptions, import_logs, load_recordings
 from hframe_gym.recordings.logs.log_files import open_logs
 from tests.log_samples import COUNT, wpilog, wpilog_of_a_drive, wpilog_record, wpilog_start
-
-
-@pytest.fixture
-def axis() -> Machine:
-    return BUILTIN_MACHINES["axis"]()
 
 
 def test_entries_become_a_recording(tmp_path: Path, axis: Machine) -> None:
