@@ -73,7 +73,7 @@ class IdentifyStage(Stage):
             held.props("dense outlined options-dense use-chips").classes("w-full")
             self.keep(held, "_hold_out", lambda names: list(names or []))
             label = "budget, s of processor time"
-            budget = ui.input(label, value=self._budget, placeholder="a minute per core")
+            budget = ui.input(label, value=self._budget, placeholder="120")
             budget.props("dense outlined stack-label data-budget").classes("w-full")
             self.keep(budget, "_budget", lambda text: text or "")
             force = ui.checkbox("fit although the check finds faults", value=self._force)

@@ -226,8 +226,8 @@ def identify(
         float | None,
         typer.Option(
             min=0.0,
-            help="Processor time for a rig, s, after which the search ends with the best machine so far (default: a "
-            "minute per core, more for long sessions; 0: refit only).",
+            help="Processor time for a rig, s (default: 120). The search ends in time with the best machine so far "
+            "(0: refit only; inf: no limit).",
         ),
     ] = None,
     ray: RayOption = None,
@@ -324,10 +324,10 @@ def _fit_rig(
 ) -> tuple[IdentificationResult, list[Finding]]:
     """Check and identify the runs of a rig; return the result and the findings about the data."""
     from ..identification import identify as run_identification
-    from ..identification.budget import Budget, default_budget
+    from ..identification.budget import DEFAULT_SECONDS, Budget
 
+    budget = Budget(DEFAULT_SECONDS if seconds is None else seconds, progress=progress)
     findings = check_recordings_before_fit(recordings, machine, None if force else folder, log)
-    budget = Budget(default_budget(recordings, machine) if seconds is None else seconds, progress=progress)
     with finishing_on_interrupt(budget) if progress else nullcontext():  # of several rigs, Ctrl-C ends all
         return run_identification(recordings, machine, held_out=hold_out, log=log, budget=budget), findings
 

@@ -14,25 +14,20 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 
-from ..dynamics.simulation import threads
 from ..errors import InputError
-from ..machine import Machine
-from ..recordings import Recording
 
-SECONDS_PER_CORE = 60.0
-# Cores for which there is time at least: complete searches of normal sessions take one to two minutes on one core, and
-# code that runs for the first time is compiled, which takes some seconds.
-_LEAST_CORES = 2
-# Rows times coordinates of a normal session. The time of a search grows in proportion to them; 160,000 are eight runs
-# of 5 s at 1 kHz of a machine with four coordinates, whose complete search takes one to three minutes.
-NORMAL_SESSION = 160_000
-# The part of the budget after which the search ends. The rest is for the tests of what was found, the final fits and
-# the simulations of the held-out runs; they took 5 to 20 % of the time of complete identifications.
-_SEARCH_PART = 0.8
+DEFAULT_SECONDS = 120.0  # of processor time, whatever the number of cores; an engineer waits a minute or two
+# Parts of the budget after which a stage ends. What follows takes time as well: the tests of what was found and the
+# final fits took 5 to 20 % of the time of complete identifications, simulations of the held-out runs and the report a
+# few seconds.
+SEARCH_PART = 0.75  # search in complete runs
+EXCERPT_PART = 0.6  # search in a part of the runs, which must be followed by a fit to all rows
+ALL_ROWS_PART = 0.85  # this fit
+DESCRIPTION_PART = 0.85  # description of the remaining error, and comparison of the runs with each other
 
 # What the search does, processor time since the identification began, and the whole budget, s.
 Progress = Callable[[str, float, float], None]
@@ -77,6 +72,7 @@ class Budget:
         self.error: float | None = None
         self._clock, self._progress = clock, progress
         self._ended: float | None = None  # time spent when the search ended
+        self._part = SEARCH_PART  # of the budget, after which the present stage ends
         self._began = clock()
 
     @property
@@ -116,19 +112,30 @@ class Budget:
             BudgetEndedError: If the time for the search is used up, or the user interrupted.
         """
         spent = self.spent
-        if self.interrupted or spent >= _SEARCH_PART * self.seconds:
+        if self.interrupted or spent >= self._part * self.seconds:
             self._ended = spent
             raise BudgetEndedError
 
+    def has_time(self, part: float) -> bool:
+        """Return whether a stage that ends after some part of the budget may begin.
+
+        Args:
+            part: Part of the budget, dimensionless.
+        """
+        return not self.interrupted and self.spent < part * self.seconds
+
     @contextmanager
-    def limiting(self) -> Iterator[None]:
+    def limiting(self, part: float = SEARCH_PART) -> Iterator[None]:
         """Let `spend` ask this budget within a `with` block.
+
+        Args:
+            part: Part of the budget after which the stage ends, dimensionless.
 
         Yields:
             Nothing.
         """
         token = _ACTIVE.set(self)
-        self.searching = True
+        self.searching, self._part = True, part
         try:
             yield
         finally:
@@ -180,19 +187,3 @@ def spender() -> Callable[[], None]:
     """
     budget = _ACTIVE.get()
     return (lambda: None) if budget is None else budget.check_quietly
-
-
-def default_budget(recordings: Sequence[Recording], machine: Machine, cores: int | None = None) -> float:
-    """Return the processor time that an identification may take by default.
-
-    Args:
-        recordings: Runs of one rig (times, s; voltages, V; measurements, m or rad).
-        machine: Machine as declared.
-        cores: Cores that are used. Default: those that this process may use.
-
-    Returns:
-        A minute for each core that is used, at least two minutes, s; more in proportion to rows times coordinates
-        beyond a normal session (160,000).
-    """
-    size = sum(len(recording.time_s) for recording in recordings) * len(machine.coordinates)
-    return SECONDS_PER_CORE * max(cores or threads(), _LEAST_CORES) * max(1.0, size / NORMAL_SESSION)

@@ -17,10 +17,11 @@ from ..errors import InputError
 from ..machine import Machine
 from ..preparation.dataset import Dataset, runs_that_should_move
 from ..preparation.division import divide_runs, moving_runs
+from ..preparation.excerpt import representative_part
 from ..preparation.session import Session, prepare_session
 from ..recordings import Recording
 from ..registry import load_plugins
-from .budget import Budget, default_budget
+from .budget import DEFAULT_SECONDS, DESCRIPTION_PART, Budget
 from .evidence.tried_effects import Log
 from .fit.run_differences import describe_run_differences
 from .judge.criteria import SelectionCriteria
@@ -60,7 +61,7 @@ def identify(
         budget: Processor time that the identification may take, s (all threads together). When most of it is used up,
             the search ends, what it found is tested and evaluated as usual, and `unfinished` of the result says what it
             was doing; the refit is always completed. The result depends on the budget only then. 0: refit only;
-            `math.inf`: no limit. Default: a minute per core, more for long sessions (`budget.default_budget`).
+            `math.inf`: no limit. Default: 120 s.
 
     Returns:
         Verdict ("effect_found", "no_effect", or "unexplained" if an error remains that no effect explains), the three
@@ -79,7 +80,7 @@ def identify(
     criteria, log = criteria or SelectionCriteria(), log or (lambda line: None)
     recordings = sorted(recordings, key=lambda recording: recording.name)  # no other order changes the result
 
-    budget = _budget(budget, recordings, machine, log)
+    budget = _budget(budget, recordings, log)
 
     # Prepare: which runs are fitted, and what of them can be used.
     held_names = divide_runs(recordings, held_out)
@@ -104,10 +105,11 @@ def identify(
     delivered = no_worse(evaluated, found.plain, log, budget)
     outcome = delivered.evaluated.outcome
     remarks = (*found.remarks, *delivered.remarks)
-    if (remarks or outcome.verdict == "unexplained") and not found.outcome.unfinished:
+    puzzling = bool(remarks) or outcome.verdict == "unexplained"
+    if puzzling and not found.outcome.unfinished and budget.has_time(DESCRIPTION_PART):
+        runs = representative_part(found.comparable_runs(session.data), machine, every_run=True)
         # From the machine of the search: the one that is delivered may describe what the runs do not have in common.
-        searched = evaluated.outcome.after
-        remarks += describe_run_differences(searched, found.comparable_runs(session.data), criteria)
+        remarks += describe_run_differences(evaluated.outcome.after, runs, criteria)
 
     # Report.
     result = build_result(delivered, found, remarks, budget)
@@ -117,12 +119,10 @@ def identify(
     return dataclasses.replace(result, seconds=time.perf_counter() - began)
 
 
-def _budget(
-    budget: float | Budget | None, recordings: Sequence[Recording], machine: Machine, log: Log
-) -> Budget:
+def _budget(budget: float | Budget | None, recordings: Sequence[Recording], log: Log) -> Budget:
     """Return the processor time that the identification may take, and log it."""
     if not isinstance(budget, Budget):
-        budget = Budget(default_budget(recordings, machine) if budget is None else budget)
+        budget = Budget(DEFAULT_SECONDS if budget is None else budget)
     if math.isfinite(budget.seconds):
         rows = sum(len(recording.time_s) for recording in recordings)
         log(f"{len(recordings)} runs, {rows} rows: at most about {budget.seconds:.0f} s of processor time")

@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 import pytest
 
 from hframe_gym.errors import InputError
 from hframe_gym.identification import default_free_parameters, fit, identify
 from hframe_gym.identification.budget import (
-    NORMAL_SESSION,
+    DEFAULT_SECONDS,
+    SEARCH_PART,
     Budget,
     BudgetEndedError,
-    default_budget,
     spend,
     spender,
 )
-from hframe_gym.recordings import Recording
 from tests.identification.axis_results import AXIS, axis_runs
 from tests.identification.test_pipeline import limited_runs
 
@@ -35,22 +33,22 @@ class Clock:
         return self.seconds
 
 
-def test_the_search_may_use_four_fifths_of_the_budget() -> None:
+def test_the_search_may_use_three_quarters_of_the_budget() -> None:
     steps: list[tuple[str, float, float]] = []
-    budget = Budget(10.0, clock=Clock(), progress=lambda *step: steps.append(step))
+    budget = Budget(8.0 / SEARCH_PART, clock=Clock(), progress=lambda *step: steps.append(step))
     with budget.limiting():
         for doing in ("trial fit 1", "", "trial fit 2", ""):
             spend(doing)  # the clock advances at the check and at the report
         with pytest.raises(BudgetEndedError):
             spend()
     assert steps == [
-        ("trial fit 1", 2.0, 10.0),
-        ("trial fit 1", 4.0, 10.0),
-        ("trial fit 2", 6.0, 10.0),
-        ("trial fit 2", 8.0, 10.0),
+        ("trial fit 1", 2.0, budget.seconds),
+        ("trial fit 1", 4.0, budget.seconds),
+        ("trial fit 2", 6.0, budget.seconds),
+        ("trial fit 2", 8.0, budget.seconds),
     ]
     assert budget.spent >= 8.0
-    assert "the budget of 10 s of processor time ended" in budget.reason
+    assert "the budget of 11 s of processor time ended" in budget.reason
 
 
 def test_outside_a_search_nothing_is_limited() -> None:
@@ -82,17 +80,32 @@ def test_a_budget_is_a_number_of_seconds(seconds: float) -> None:
         Budget(seconds)
 
 
-@pytest.mark.parametrize(
-    ("rows", "cores", "seconds"),
-    [(1000, 4, 240.0), (NORMAL_SESSION, 4, 240.0), (2 * NORMAL_SESSION, 4, 480.0), (1000, 1, 120.0)],
-)
-def test_the_default_is_a_minute_per_core_and_more_for_long_sessions(
-    rows: int, cores: int, seconds: float
-) -> None:
-    half = np.zeros(rows // 2)
-    runs = [Recording(f"run_{k}", half, half[:, None], half[:, None]) for k in range(2)]
-    assert len(AXIS.coordinates) == 1
-    assert default_budget(runs, AXIS, cores) == seconds
+def test_by_default_an_identification_takes_two_minutes_of_processor_time() -> None:
+    """Neither the number of cores nor the length of the session changes this."""
+    lines: list[str] = []
+
+    def log(line: str) -> None:
+        lines.append(line)
+        raise BudgetEndedError  # the identification itself is not of interest
+
+    with pytest.raises(BudgetEndedError):
+        identify(limited_runs([3.0, 3.0, 9.0]), AXIS, log=log)
+    assert DEFAULT_SECONDS == 120.0
+    assert lines == ["3 runs, 4500 rows: at most about 120 s of processor time"]
+
+
+def test_a_stage_may_end_after_another_part_of_the_budget() -> None:
+    budget = Budget(100.0, clock=Clock())
+    with budget.limiting(0.02):
+        spend("a search in a part of the rows")
+        with pytest.raises(BudgetEndedError):
+            spend()
+    assert budget.has_time(0.5)
+    with budget.limiting():
+        spend("a search in all rows")
+    assert not budget.has_time(0.05)
+    budget.stop()
+    assert not budget.has_time(1.0)
 
 
 def test_without_time_to_search_the_machine_has_no_effects() -> None:
@@ -125,7 +138,7 @@ def test_a_budget_that_does_not_end_changes_nothing_and_one_that_ends_keeps_what
         step for step in steps if step[0] in ("comparing rivals", "testing each effect beside the others")
     )
     early = identify(
-        runs, AXIS, budget=Budget((last[1] + 0.5) / 0.8, clock=Clock(), progress=lambda *step: None)
+        runs, AXIS, budget=Budget((last[1] + 0.5) / SEARCH_PART, clock=Clock(), progress=lambda *step: None)
     )
     assert early.unfinished is not None
     assert [s.effect.label for s in early.effects] == ["current_limit@motor"]

@@ -29,6 +29,7 @@ from ...arrays import Array
 from ...effects import EFFECTS
 from ...machine import AppliedEffect, Machine
 from ...preparation.dataset import MIN_ROWS, Dataset, PreparedRecording
+from ...preparation.excerpt import largest_share
 from ...preparation.motion_windows import MotionWindows, force_equations, leading_motions, motion_windows
 from ...recordings import bridge_blanks, comparison_window
 from ..judge.error import is_better_start
@@ -143,16 +144,10 @@ def plain_fit(machine: Machine, data: Dataset) -> PlainFit | None:
 
 def _excerpt(data: Dataset) -> Dataset:
     """Return the beginnings of the runs, as long as each run may be for two minutes of motion in all."""
-    durations = np.sort([float(run.time_s[-1] - run.time_s[0]) for run in data.runs])
-    longest, left = math.inf, _LONGEST_MOTION
-    for i, duration in enumerate(durations):
-        share = left / (len(durations) - i)
-        if duration > share:
-            longest = share
-            break
-        left -= duration
-    if math.isinf(longest):
+    durations = [float(run.time_s[-1] - run.time_s[0]) for run in data.runs]
+    if sum(durations) <= _LONGEST_MOTION:
         return data
+    longest = largest_share(durations, _LONGEST_MOTION)
     rows = [int(np.searchsorted(run.time_s - run.time_s[0], longest)) for run in data.runs]
     runs = tuple(run.first_rows(max(count, MIN_ROWS)) for run, count in zip(data.runs, rows, strict=True))
     return dataclasses.replace(data, runs=runs)

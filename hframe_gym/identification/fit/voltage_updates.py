@@ -2,9 +2,9 @@
 
 A controller that is faster than the log changes the voltages several times from one row to the next. The log does not
 say so, but the motion does: voltages that are held from row to row act late, by up to half a sampling period. A machine
-is therefore fitted with held voltages, then with voltages that are interpolated and change twice a row, three times and
-so on, while the error falls. If that reduces the error clearly, the changes are counted by the delay that instruments
-find (`slow_logs.excess_delay`).
+is therefore fitted with held voltages, then with voltages that are interpolated and change twice a row and, unless that
+gains little, three times and so on, while the error falls. If that reduces the error clearly, the changes are counted
+by the delay that instruments find (`slow_logs.excess_delay`).
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from scipy import stats
 from ...machine import Machine
 from ...preparation.dataset import Dataset
 from ..judge.criteria import SelectionCriteria
+from ..judge.error import required_gain
 from ..judge.run import UpdatesEvidence, voltages_change_between_rows
 from ..predict.prediction import SEARCH_BANDWIDTH
 from ..predict.voltage_errors import expected_excess
@@ -25,6 +26,9 @@ from .estimation import Fit, prediction_costs
 from .model_error import continue_fit
 from .slow_logs import excess_delay
 
+# Gain by any number of changes relative to that by two. Voltages that change n times a row act late by 1 / (2 n)
+# sampling periods: two changes remove half of the delay of held ones, and with it more than half of its squared error.
+_MOST_FURTHER_GAIN = 2.0
 _MOST_UPDATES = 20  # a row; with more, voltages act earlier by less than a fortieth of a sampling period
 
 
@@ -145,7 +149,7 @@ def voltage_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> 
     """
     data = data.with_updates(1)
     held = continue_fit(fitted, data, SEARCH_BANDWIDTH)
-    per_row, best = _least_error(held, data)
+    per_row, best = _least_error(held, data, required_gain(held.error, criteria) / _MOST_FURTHER_GAIN)
     if per_row > 1:
         before, after = (
             prediction_costs(f.machine, d, SEARCH_BANDWIDTH)
@@ -161,12 +165,15 @@ def voltage_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> 
     return VoltageUpdates(1, held.chi2, held.chi2)
 
 
-def _least_error(held: Fit, data: Dataset) -> tuple[int, Fit]:
-    """Return the number of changes with the least error, and its fit; a fit with held voltages is given."""
+def _least_error(held: Fit, data: Dataset, promising: float) -> tuple[int, Fit]:
+    """Return the number of changes with the least error, and its fit; a fit with held voltages is given.
+
+    More than two are tried only if two reduce chi-squared per sample by the promising gain.
+    """
     best, per_row = held, 1
     for trial in range(2, _MOST_UPDATES + 1):
         refitted = continue_fit(best, data.with_updates(trial), held.bandwidth)
-        if not refitted.cost < best.cost:
+        if not refitted.cost < best.cost or held.chi2 - refitted.chi2 < promising:
             break
         best, per_row = refitted, trial
     return per_row, best

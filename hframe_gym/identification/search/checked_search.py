@@ -12,7 +12,8 @@ from typing import NamedTuple
 
 from ...machine import Machine
 from ...preparation.dataset import Dataset, with_known_positions
-from ..budget import Budget
+from ...preparation.excerpt import LARGEST_FIT, describe_part, representative_part
+from ..budget import EXCERPT_PART, SEARCH_PART, Budget
 from ..evidence.held_out import contradicting_held_out_runs, held_out_gain, is_excited, worsens_simulation
 from ..evidence.tried_effects import ConsideredEffect, Log
 from ..fit.estimation import Fit, fit
@@ -30,7 +31,7 @@ from ..predict.prediction import SEARCH_BANDWIDTH
 from ..predict.voltage_errors import with_voltage_errors
 from ..propose.trial_fits import without_effect
 from .input_timing import with_input_timing
-from .search_effects import SearchOutcome, search_effects
+from .search_effects import SearchOutcome, fitted_to_all_rows, search_effects
 
 _CONTRADICTION = (
     "{} is not used: the other runs agree with one machine to within their noise, and this run contradicts it. Check "
@@ -158,15 +159,23 @@ def _search_and_check(
     data, unused = with_known_positions(all_runs.with_runs(fitted_names))
     names = ", ".join(run.name for run in held_out.runs)
     log(f"fitting {machine.name} to {len(data.runs)} runs, {len(held_out.runs)} held out ({names})")
+    all_rows, data = data, representative_part(data, machine)
+    in_part = data is not all_rows
+    if in_part:
+        log(f"effects are searched for in {describe_part(data, all_rows)}")
+        all_rows = representative_part(all_rows, machine, size=LARGEST_FIT)
     data, held_out = with_lost_voltages(machine, data, held_out, log)
     refitted = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
     different = _different_run(refitted, data, held_out, criteria)
     if different is not None:
         log(f"{different} differs from the other runs; searching without it")
-        data = data.with_runs([run.name for run in data.runs if run.name != different])
+        data, all_rows = (
+            each.with_runs([run.name for run in each.runs if run.name != different])
+            for each in (data, all_rows)
+        )
         refitted = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
     updates, known = voltage_updates(refitted, data, criteria), machine
-    search = partial(_search, machine, criteria=criteria, log=log, budget=budget)
+    search = partial(_search, machine, refitted=refitted, criteria=criteria, log=log, budget=budget)
     for restarts in range(_MOST_RESTARTS + 1):
         fitted, validation, messages = data, held_out, (*unused, *excluded)
         if updates.per_row > 1:
@@ -175,8 +184,10 @@ def _search_and_check(
             fitted, validation = _interpolated(known, updates.per_row, data, held_out, log)
             messages = (*messages, _BETWEEN_ROWS.format(changes, updates.per_row))
         fitted = dataclasses.replace(fitted, updates_settled=restarts == _MOST_RESTARTS)
+        # The errors of voltages between all rows of a long log would need too much memory.
+        complete = all_rows if in_part and updates.per_row == 1 else None
         try:
-            found = search(fitted, validation)._replace(messages=messages)
+            found = search(fitted, validation, complete)._replace(messages=messages)
             return found if different is None else found.without_run(different)
         except VoltagesChangeError as change:
             updates, known = change.updates, change.machine
@@ -213,14 +224,16 @@ def _search(
     machine: Machine,
     data: Dataset,
     held_out: Dataset,
+    all_rows: Dataset | None,
     *,
+    refitted: Fit,
     criteria: SelectionCriteria,
     log: Log,
     budget: Budget,
 ) -> CheckedOutcome:
-    """Search for effects in the fitted runs, and compare the outcome with the held-out ones."""
-    plain = plain_fit(machine, data)
-    machine = _start(machine, data, plain, log)
+    """Search for effects in the fitted runs or a part of them, fit them to all rows, and compare with held-out runs."""
+    plain = plain_fit(machine, data if all_rows is None else all_rows)
+    start = _start(machine, data, plain, log)
 
     def confirmed(outcome: SearchOutcome) -> bool:
         differing = _contradicting_runs(outcome, held_out)
@@ -228,7 +241,22 @@ def _search(
             log(f"{', '.join(differing)} contradicts these runs as well; searching in all fitted runs")
         return not differing
 
-    outcome = search_effects(machine, data, criteria, log, confirmed=confirmed, budget=budget)
+    known = refitted if start is machine and not data.has_voltage_errors else None
+    outcome = search_effects(
+        start,
+        data,
+        criteria,
+        log,
+        confirmed=confirmed,
+        budget=budget,
+        budget_part=SEARCH_PART if all_rows is None else EXCERPT_PART,
+        refitted=known,
+    )
+    if all_rows is not None:
+        outcome = without_unconfirmed(
+            outcome, all_rows, log
+        )  # like held-out runs, other rows can only remove
+        outcome = fitted_to_all_rows(outcome, start, all_rows, criteria, log, budget)
     differing = _contradicting_runs(outcome, held_out)
     return CheckedOutcome(outcome, held_out, differing, plain=plain)
 

@@ -7,11 +7,13 @@ from collections.abc import Callable
 from functools import cache, cached_property
 from typing import NamedTuple
 
+from ...effects.smooth_table import TABLE_FAMILY
 from ...machine import HOOKS, Effect, Machine, argument_names
 from ...preparation.dataset import Dataset
-from ..budget import Budget, BudgetEndedError, note_error, spend
+from ..budget import ALL_ROWS_PART, SEARCH_PART, Budget, BudgetEndedError, note_error, spend
 from ..evidence.tried_effects import ConsideredEffect, Log, SelectedEffect, Selection
 from ..fit.estimation import Fit, fit, prediction_cost
+from ..fit.lost_voltages import estimate_lost_voltages
 from ..fit.model_error import (
     continue_fit,
     contradicting_run,
@@ -84,6 +86,8 @@ def search_effects(
     *,
     confirmed: Confirmed | None = None,
     budget: Budget | None = None,
+    budget_part: float = SEARCH_PART,
+    refitted: Fit | None = None,
 ) -> SearchOutcome:
     """Refit a machine and search for the effects (deviations from the nominal model) that it lacks.
 
@@ -105,16 +109,18 @@ def search_effects(
             If it returns False, the outcome of a search in all runs is returned. Default: it returns True.
         budget: Processor time after which the search ends. The refit of the machine is always completed. Default: the
             search ends by itself.
+        budget_part: Part of it after which the search ends, dimensionless.
+        refitted: Fit of the machine to these runs at `SEARCH_BANDWIDTH`, if it is known already.
 
     Returns:
         Verdict, fits of the machine without and with the effects, and the selected and the rejected effects. If the
         budget ended: of what was selected until then, tested like everything else, without tables; without a suspect if
         that was found to explain the other runs, else in all runs.
     """
-    searches = [_Search(machine, data, criteria, log)]
+    searches = [_Search(machine, data, criteria, log, refitted)]
     budget = budget or Budget()
     try:
-        with budget.limiting():
+        with budget.limiting(budget_part):
             return _search_with_suspect(searches, machine, data, criteria, log, confirmed)
     except BudgetEndedError:
         log(f"  {budget.reason} ({budget.doing}); what was found so far is tested")
@@ -123,6 +129,42 @@ def search_effects(
         if outcome.explained:  # a run is only left out if one machine explains the others
             return outcome._replace(unfinished=budget.doing)
     return searches[0].finished_early()._replace(unfinished=budget.doing)
+
+
+def fitted_to_all_rows(
+    found: SearchOutcome,
+    machine: Machine,
+    data: Dataset,
+    criteria: SelectionCriteria,
+    log: Log,
+    budget: Budget,
+) -> SearchOutcome:
+    """Fit the machines that a search in a part of the rows found to all of them, and reach the verdict again.
+
+    Args:
+        found: Outcome of a search in a part of the rows.
+        machine: Machine from which the search started.
+        data: All runs to fit.
+        criteria: Decision thresholds.
+        log: Called with a line at each stage.
+        budget: Processor time of the identification.
+
+    Returns:
+        Outcome with the machines that all rows determine; `found`, unfinished, if the budget ended before.
+    """
+    names = [run.name for run in data.runs if run.name != found.contradiction]
+    try:
+        with budget.limiting(ALL_ROWS_PART):
+            spend("fitting all rows")
+            log("fitting all rows")
+            complete = estimate_lost_voltages(data.with_runs(names), found.after.machine)
+            before = polish(found.before, complete)
+            wide = continue_fit(before, complete, SEARCH_BANDWIDTH)
+            outcome = _Search(machine, complete, criteria, log, wide, before).fitted(found)
+    except BudgetEndedError:
+        log(f"  {budget.reason} ({budget.doing}); the machines are fitted to a part of the rows")
+        return found._replace(unfinished=found.unfinished or budget.doing)
+    return outcome._replace(contradiction=found.contradiction, unfinished=found.unfinished)
 
 
 def _search_with_suspect(
@@ -216,15 +258,23 @@ class _Search:
 
     suspect: str | None = None
 
-    def __init__(self, machine: Machine, data: Dataset, criteria: SelectionCriteria, log: Log) -> None:
+    def __init__(
+        self,
+        machine: Machine,
+        data: Dataset,
+        criteria: SelectionCriteria,
+        log: Log,
+        refitted: Fit | None = None,
+        before: Fit | None = None,
+    ) -> None:
         self._data, self._criteria, self._log = data, criteria, log
         self._data_after = data  # with the initial states and zeros that follow from the machine with effects
         self._refinements: list[tuple[Fit, Fit]] = []  # pairs of a fit and the same refined, which takes long
         self._searches: list[EffectSearch] = []  # one after the other
         # With the widest observer bandwidth first: it tolerates a model that is still wrong.
-        self.base = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
+        self.base = refitted or fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
         log(f"refitted machine: {self.base.summary}")
-        self.before = polish(fit_with_model_error(self.base, data), data)
+        self.before = before or polish(fit_with_model_error(self.base, data), data)
         if self.before.bandwidth != self.base.bandwidth:
             log(f"refitted machine: {self.before.summary}")
 
@@ -250,6 +300,8 @@ class _Search:
         Args:
             start: Fit with effects that are known already. Default: the refitted machine, without effects.
         """
+        if start is not None:
+            self._log("searching for further effects")
         after, effects, considered = self._known_effects(start)
         if decided := self._decided(after, effects, considered):
             return decided
@@ -257,6 +309,24 @@ class _Search:
         if tabled is not None:
             return self._outcome("effect_found", *tabled, considered)
         return self._partial(after, effects, considered)
+
+    def fitted(self, found: SearchOutcome) -> SearchOutcome:
+        """Return the outcome of effects and tables that were found in a part of the rows, fitted to all of them."""
+        after, effects = self.before, found.selected
+        if effects:
+            self._data_after = refine_dataset(self._data, found.after.machine)
+            after = polish(
+                continue_fit(found.after, self._data_after, found.after.bandwidth), self._data_after
+            )
+        self._refinements += [
+            (self.before, self.before),
+            (after, after),
+        ]  # the search has chosen their observers
+        if decided := self._decided(after, effects, found.considered):
+            return decided
+        if any(s.effect.definition.family == TABLE_FAMILY for s in effects):
+            return self._outcome(found.verdict, after, effects, found.considered)
+        return self._partial(after, effects, found.considered)
 
     def finished_early(self) -> SearchOutcome:
         """Return the outcome of what was selected when the budget ended, after the same tests beside each other."""
@@ -412,7 +482,6 @@ class _Search:
         if start is None:
             search, (current, effects) = self._first_search, self.selection
         else:
-            self._log("searching for further effects")
             search = self._new_search(EffectSearch(data, self.before.machine, criteria, self._log))
             search.reached = start
             current, effects = search.run(*start)

@@ -14,7 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...preparation.dataset import Dataset
-from ..budget import Budget, BudgetEndedError
+from ...preparation.excerpt import representative_part
+from ..budget import DESCRIPTION_PART, Budget, BudgetEndedError
 from ..evidence.tried_effects import Log, SelectedEffect
 from ..fit.estimation import Fit, prediction_cost
 from ..fit.plain_fit import PlainFit, equally_weighted, refined_equally
@@ -30,7 +31,6 @@ _MAX_EFFECTS = 2  # Each further one takes longer and removes less.
 _TRIALS = 8  # a step: far from the data, as here, linearized gains say little about which effect reduces the error most
 _BUDGET_PART = 0.3  # of the budget of the identification
 _LONGEST = 45.0  # s of processor time
-_LAST = 0.95  # of the budget, at which a search ends, because its answer is simulated afterwards
 _REFINED = (
     "The parameters were fitted again in simulation, because the plain fit of inertia and friction predicted the "
     "held-out runs better."
@@ -200,7 +200,8 @@ def _described(
         (plain.simulated, refit), key=lambda fitted: prediction_cost(fitted.machine, equal, SIMULATION)
     )
     best, sentence = None, ""
-    for fitted, labels in descriptions(start, outcome.data, test.criteria, log, budget):
+    part = representative_part(outcome.data, start.machine)
+    for fitted, labels in descriptions(start, part, test.criteria, log, budget):
         again = test.evaluate(outcome._replace(after=fitted))
         ratio = error_ratio(again.after, base)
         log(f"described by {', '.join(labels)}: {ratio:.3g} times the error on the held-out runs")
@@ -227,7 +228,7 @@ def descriptions(
         the tests, or after the budget.
     """
     seconds = min(_BUDGET_PART * budget.seconds, _LONGEST)
-    if budget.interrupted or budget.spent >= _LAST * budget.seconds:
+    if not budget.has_time(DESCRIPTION_PART):
         return
     log("describing the remaining error of complete runs")
     equal = equally_weighted(data)
@@ -235,11 +236,11 @@ def descriptions(
     current = dataclasses.replace(start, bandwidth=SIMULATION, cost=cost, count=equal.count)
     selected: tuple[SelectedEffect, ...] = ()
     for count in range(1, _MAX_EFFECTS + 1):
-        part = Budget(max(min(seconds, _LAST * budget.seconds - budget.spent), 0.0))
+        part = Budget(max(min(seconds, DESCRIPTION_PART * budget.seconds - budget.spent), 0.0))
         effort = dataclasses.replace(criteria, max_effects=count, max_full_fits=_TRIALS)
         search = EffectSearch(equal, start.machine, effort, log)
         try:
-            with part.limiting():
+            with part.limiting(1.0):
                 current, found = search.run(current, selected)
         except (BudgetEndedError, VoltagesChangeError):  # what was found until then stands
             return
