@@ -54,10 +54,10 @@ def representative_part(
 
     Returns:
         The runs, or parts of them with the same names and a measured start of their own, measurements of shape
-        (n, sensors) each; `data` itself if it is not larger.
+        (n, sensors) each; `data` itself if it is not larger, or if the errors of its voltages are known by row.
     """
     rows = int(size / len(machine.coordinates))
-    if sum(len(run.time_s) for run in data.runs) <= rows:
+    if sum(len(run.time_s) for run in data.runs) <= rows or data.has_voltage_errors:
         return data
     chosen = data.runs if every_run else _different_runs(data, rows)
     longest = int(largest_share([len(run.time_s) for run in chosen], rows))

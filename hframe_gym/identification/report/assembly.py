@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 from ...machine import Machine
 from ...preparation.dataset import Dataset
+from ...preparation.excerpt import representative_part
 from ..budget import Budget
 from ..evidence.held_out import error_reduction, held_out_gain, is_excited
 from ..evidence.tried_effects import ConsideredEffect, SelectedEffect
@@ -49,7 +50,7 @@ def build_result(
         design_discriminating_experiment(after, corrected, s.effect.label, s.rival_effects, refined)
         for s in selected
     )
-    validation = evaluated.validation
+    validation, part = evaluated.validation, representative_part(data, before.machine)
     drives = drive_force(corrected, data)
     unfinished = (
         Unfinished(outcome.unfinished, budget.reason, budget.interrupted) if outcome.unfinished else None
@@ -63,7 +64,7 @@ def build_result(
         gains={s.effect.label: held_out_gain(s, corrected, validation, after.bandwidth) for s in selected},
         considered=tuple(_rejected(c, data, validation, after.bandwidth) for c in outcome.considered),
         sizes={s.effect.label: effect_force(corrected, s.effect, data) / drives for s in selected},
-        dependence=tuple(rank_dependences(before.machine, data)[:_MAX_DEPENDENCES]),
+        dependence=tuple(rank_dependences(before.machine, part)[:_MAX_DEPENDENCES]),
         white=bool(white_sensors(corrected, validation).all()),
         fitted=data,
         held_out=validation,

@@ -13,6 +13,7 @@ import numpy as np
 
 from ...machine import Machine
 from ...preparation.dataset import Dataset, PreparedRecording
+from ...preparation.excerpt import representative_part
 from ...preparation.sensor_properties import Range, range_effects
 from ...preparation.session import Session, with_all_measurements
 from ..evidence.tried_effects import ConsideredEffect, Log, SelectedEffect
@@ -147,7 +148,8 @@ def _contradiction(evaluated: Evaluated, differing: Sequence[str]) -> str:
     if outcome.selected:
         reason = contradiction_of_names(evidence, outcome.explained, criteria)
         if reason and not outcome.explained:  # ranking the causes takes seconds
-            causes = rank_dependences(outcome.before.machine, outcome.data)
+            part = representative_part(outcome.data, outcome.before.machine)
+            causes = rank_dependences(outcome.before.machine, part)
             named = are_causes([s.effect for s in outcome.selected], causes, outcome.before.machine)
             evidence = dataclasses.replace(evidence, causes_named=named)
             if named:
