@@ -28,6 +28,9 @@ NORMAL_SESSION = 160_000
 # The same of the rows to which the machines are fitted in the end. More would need gigabytes of memory and minutes, and
 # make parameters hardly more accurate.
 LARGEST_FIT = 10 * NORMAL_SESSION
+# Time of a fit for a row and for the motion until the next one, in normal sampling periods of 1 ms: measured on logs of
+# 1 kHz and 500 Hz.
+NORMAL_PERIOD, _OF_ROW, _OF_MOTION = 1e-3, 0.75, 0.25
 # Runs among which a normal session is divided. An effect must be confirmed by runs to which it was not fitted, so few
 # long ones would say less than this many shorter ones.
 _RUNS = 8
@@ -49,14 +52,16 @@ def representative_part(
     Args:
         data: Runs to fit.
         machine: Machine as declared.
-        size: Largest number of rows times coordinates.
+        size: Largest number of rows times coordinates, dimensionless, for rows that are 1 ms apart; fewer if they are
+            further apart.
         every_run: Whether a part of each run is kept, however short.
 
     Returns:
         The runs, or parts of them with the same names and a measured start of their own, measurements of shape
         (n, sensors) each; `data` itself if it is not larger, or if the errors of its voltages are known by row.
     """
-    rows = int(size / len(machine.coordinates))
+    per_row = _OF_ROW + _OF_MOTION * data.period / NORMAL_PERIOD
+    rows = round(size / (len(machine.coordinates) * per_row))
     if sum(len(run.time_s) for run in data.runs) <= rows or data.has_voltage_errors:
         return data
     chosen = data.runs if every_run else _different_runs(data, rows)
@@ -77,11 +82,14 @@ def describe_part(part: Dataset, data: Dataset) -> str:
 
 
 def largest_share(lengths: Sequence[float], total: float) -> float:
-    """Return the length to which the longest of some lengths must be cut so that all together do not exceed a total.
+    """Compute to what the longest of some lengths must be cut so that all together do not exceed a total.
 
     Args:
-        lengths: Lengths, in any unit.
-        total: Largest sum of the lengths, in the same unit.
+        lengths: Lengths, such as durations, s, or numbers of rows, dimensionless.
+        total: Largest sum of the lengths, in their unit, s or dimensionless.
+
+    Returns:
+        Largest permitted length, in the same unit, s or dimensionless.
     """
     left = float(total)
     for i, length in enumerate(sorted(lengths)):
