@@ -224,9 +224,6 @@ class ShippedAgent(DesignedEntry):
     learned = True
     agents: ClassVar[dict[str, str]] = {}
 
-    # Folder and machine of the last design: both paths have the same agent, whose laws take most of a second to design.
-    _last: tuple[Path, Machine, Controller] | None = None
-
     @classmethod
     @override
     def files(cls) -> list[Path]:
@@ -239,10 +236,7 @@ class ShippedAgent(DesignedEntry):
     def design(self, task: Task) -> Controller:
         from hframe_gym.agents import Agent, shipped_agent_folder
 
-        folder = shipped_agent_folder(self.agents[task.name], task.name)
-        if self._last is None or self._last[0] != folder or self._last[1] is not self.machine:
-            self._last = folder, self.machine, Agent.load(folder, self.machine)
-        return self._last[2]
+        return Agent.load(shipped_agent_folder(self.agents[task.name], task.name), self.machine)
 
 
 class DeclaredMachine(DesignedEntry):
