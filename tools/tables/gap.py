@@ -89,6 +89,18 @@ def gap_learned(results: dict[str, Any]) -> str:
     return markdown(header, rows)
 
 
+@table("model_error")
+def model_error(results: dict[str, Any]) -> str:
+    """Format how fast moves are with an exact model, other parameters and undeclared effects."""
+    rows = []
+    for name, of in sorted(results["rows"].items(), key=lambda item: -item[1]["gain"][0]):
+        cells = [f"{of[key][0]:.3f}" for key in ("effects", "parameters", "exact")]
+        mean, low, high = (100.0 * value for value in of["gain"])
+        agent, comma, rest = name.partition(",")
+        rows.append([f"`{agent}`{comma}{rest}", *cells, f"{mean:.1f} % ({low:.1f} to {high:.1f})"])
+    return markdown(["", "parameters and effects differ", "parameters differ", "exact", "gain"], rows)
+
+
 @table("gap_plants", results="gap")
 def gap_plants(results: dict[str, Any]) -> str:
     """Format what each plant of gap-v1 hides, what was identified, and settling times of two controllers."""
