@@ -194,7 +194,8 @@ class Composition:
                 (x, self._bottom + 8 * SCALE), f"{tick * FRAME_S:.1f} s", MUTED, self._small, anchor="ma"
             )
         text = f"distance to the goal, t = {step * FRAME_S:.2f} s, {SLOWDOWN} times slower than real time"
-        draw.text((self._right, self._top), text, MUTED, self._small, anchor="ra")
+        # Below the curves, which begin at the top and end at the right.
+        draw.text((self._left + 8 * SCALE, self._bottom - 6 * SCALE), text, MUTED, self._small, anchor="ls")
 
 
 def make_animation(path: Path) -> None:
