@@ -76,7 +76,6 @@ class CheckStage(Stage):
 
     @override
     def show(self) -> None:
-        """Build the stage."""
         self.command_box()
         self._wanted = []
         findings = self._findings()

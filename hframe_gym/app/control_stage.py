@@ -81,7 +81,6 @@ class ControlStage(Stage):
 
     @override
     def show(self) -> None:
-        """Build the stage."""
         machine = load_machine(self.session.path(self.session.corrected))
         if len(machine.tool_axes) == 0:
             banner(

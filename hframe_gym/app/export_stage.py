@@ -59,7 +59,6 @@ class ExportStage(Stage):
 
     @override
     def show(self) -> None:
-        """Build the stage."""
         kinds = {name: f"{name}: {_summary(EXPORTERS.get(name))}" for name in EXPORTERS}
         kind = ui.select(kinds, value=self._kind, label="kind", on_change=lambda e: self._choose(e.value))
         kind.props("dense outlined options-dense data-kind").classes("w-full")

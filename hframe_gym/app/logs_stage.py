@@ -94,7 +94,6 @@ class LogsStage(Stage):
 
     @override
     def show(self) -> None:
-        """Build the stage."""
         upload = ui.upload(
             label="Drop logs here, or choose them with +",
             multiple=True,

@@ -70,7 +70,6 @@ class MachineStage(Stage):
 
     @override
     def show(self) -> None:
-        """Build the stage."""
         try:
             machine = self.session.machine
         except InputError as error:

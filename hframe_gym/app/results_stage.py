@@ -41,7 +41,6 @@ class ResultsStage(Stage):
 
     @override
     def state(self) -> State:
-        """Return whether there is a result."""
         return "done" if self._report() is not None else ""
 
     @override
@@ -56,7 +55,6 @@ class ResultsStage(Stage):
 
     @override
     def show(self) -> None:
-        """Build the stage."""
         report = self._report()
         assert report is not None
         corrected = load_machine(self.session.path(RESULT, MACHINE))

@@ -71,12 +71,10 @@ class WhiteNoise(Disturbance):
 
     @override
     def begin(self, shape: tuple[int, int], period: float, generator: np.random.Generator) -> Array:
-        """Return the first forces, N."""
         return generator.normal(0.0, self.std, shape)
 
     @override
     def follow(self, forces: Array, period: float, generator: np.random.Generator) -> Array:
-        """Return the forces of the next period, N."""
         return generator.normal(0.0, self.std, forces.shape)
 
 
@@ -98,12 +96,10 @@ class OrnsteinUhlenbeck(Disturbance):
 
     @override
     def begin(self, shape: tuple[int, int], period: float, generator: np.random.Generator) -> Array:
-        """Return the first forces, N."""
         return generator.normal(0.0, self.std, shape)
 
     @override
     def follow(self, forces: Array, period: float, generator: np.random.Generator) -> Array:
-        """Return the forces of the next period, N."""
         kept = np.exp(-period / self.time_s) if self.time_s else 0.0
         noise: Array = generator.normal(0.0, self.std * np.sqrt(1.0 - kept * kept), forces.shape)
         return kept * forces + noise
@@ -130,7 +126,6 @@ class Pulses(Disturbance):
 
     @override
     def follow(self, forces: Array, period: float, generator: np.random.Generator) -> Array:
-        """Return the forces of the next period, N."""
         chances = generator.random(forces.shape)
         ends = chances < (1.0 - np.exp(-period / self.length_s) if self.length_s else 1.0)
         begins = chances < 1.0 - np.exp(-period * self.rate)

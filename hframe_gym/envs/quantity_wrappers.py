@@ -209,7 +209,6 @@ class ObserveQuantities(_Recording):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode, as the environment does."""
         observation, info = super().reset(seed=seed, options=options)
         values = {name: column.item() for name, column in self._recorder.first_values().items()}
         return self._observed.extended(observation, values), info
@@ -316,7 +315,6 @@ class VectorObserveQuantities(_VectorRecording):
 
     @override
     def reset(self, **keywords: Any) -> tuple[Any, dict[str, Any]]:
-        """Begin episodes, as the environments do."""
         observation, info = super().reset(**keywords)
         return self._observed.extended(observation, self._recorder.first_values()), info
 

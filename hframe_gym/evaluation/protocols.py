@@ -243,7 +243,6 @@ class _Timed(Controller):
 
     @override
     def act(self, observation: Mapping[str, NDArray[Any]]) -> Array:
-        """Return the controller's actions."""
         start = time.process_time()
         actions = self.controller.act(observation)
         self.cpu_s += time.process_time() - start
@@ -252,7 +251,6 @@ class _Timed(Controller):
 
     @override
     def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
-        """Reset the controller."""
         self.controller.reset(mask)
 
 
