@@ -185,7 +185,8 @@ class Effect:
         fits_site: Predicate (machine, site) -> bool: whether the effect can act at that site.
         equivalent: Causes that no recording can distinguish from the effect, in words.
         shared: Whether a search also tries an effect of the kind "drive" on all drives at once.
-        refitted: Whether other parameter values of the machine have the same influence; a search then omits the effect.
+        refitted: Whether other parameter values of the machine have the same influence; a search then omits the effect,
+            unless an effect of all drives changes the same voltage after it.
         against: Variable `u` of a tabulated effect: "position of y", "velocity of y", "path of y" or "time".
         rigid: Function (machine without the added coordinate, applied effect) -> machine that returns to the site what
             `structure` took from it, for controllers (`rigid_counterpart`). Default: nothing.
