@@ -62,9 +62,8 @@ LARGEST_INTEGRAL = 1e-4  # m s
 
 # Variants of the machine for which transfers are also designed: factors on its belt stiffness and on its masses.
 VARIANTS = ((0.7, 0.95), (0.7, 1.15), (1.3, 0.95), (1.3, 1.15))
-VARIANT_TRANSFERS = (
-    5  # For variants, only so many transfers, the shortest: the parameters matter most near the goal.
-)
+# For variants, only so many transfers, the shortest: the parameters matter most near the goal.
+VARIANT_TRANSFERS = 5
 LARGEST_WEIGHTED = 1.2  # Fraction of the rated voltage; limit of the voltages before their mean is formed.
 
 # Observation keys in the order in which they are concatenated; absent keys are skipped. The weights of a trained agent

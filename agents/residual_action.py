@@ -32,9 +32,8 @@ from .features import LARGEST_WEIGHTED, FeedbackLaws, PlanBank, TransferBank
 
 Observation = Mapping[str, NDArray[Any]]
 
-LARGEST_HELD = (
-    0.12  # limit of the held action, fraction of the rated voltage: twice what overcomes Coulomb friction
-)
+# Limit of the held action, fraction of the rated voltage: twice what overcomes Coulomb friction.
+LARGEST_HELD = 0.12
 # The position error is integrated within this distance of the goal, m, and below this speed, m/s: where friction can
 # hold the tool. Farther away or faster, the integral would grow by errors that the motion is about to remove.
 INTEGRAL_M, INTEGRAL_M_S = 1e-3, 0.015

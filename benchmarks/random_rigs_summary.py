@@ -13,9 +13,8 @@ from rich.table import Table
 Row = dict[str, Any]
 MAX_RELATIVE_STD = 0.2  # above it a parameter counts as not identifiable and does not enter the coverage
 QUANTILES = {"68": 1.0, "95": 1.96}  # half-widths of the intervals in standard deviations
-NO_TRACE = (
-    24.0  # noise variances: below this gain of one parameter, chance is not excluded (docs/how_it_decides.md)
-)
+# Noise variances: below this gain of one parameter, chance is not excluded (docs/how_it_decides.md).
+NO_TRACE = 24.0
 LOGS = {"1": (1, 1), "2 to 5": (2, 5), "8 to 20": (8, 20)}  # changes of the voltages from one row to the next
 NOTHING, UNEXPLAINED, OTHERS = "(nothing)", "(unexplained)", "(not there)"
 _SLOPES = (0.1, 0.2, 0.4, 0.8)  # widths of the detection curve, in natural logarithms of the size

@@ -78,9 +78,8 @@ _SUBPACKAGES = {
     "simulate": "dynamics",
 }
 
-_EPISODE_STEPS = (
-    150  # 1.5 s at the default period: the longest move takes half of it, a lap of the circle a third
-)
+# 1.5 s at the default period: the longest move takes half of it, a lap of the circle a third.
+_EPISODE_STEPS = 150
 # Environment, vector environment and keywords by id; only names, so that the import does not load the simulator.
 _REACH = "hframe_gym.envs:HFrameEnv", "hframe_gym.envs:HFrameVectorEnv"
 _TRACK = "hframe_gym.envs:HFrameTrackEnv", "hframe_gym.envs:HFrameTrackVectorEnv"

@@ -52,9 +52,8 @@ FRICTION_STD, MASS_STD, BELT_STD = 0.5, 0.1, 0.2
 # coordinates that reverse during the period, and for the tool a fraction of the belt force, because the belts' lengths
 # are inaccurate too.
 BALANCE_NOISE, REVERSAL_NOISE, BELT_FORCE_NOISE = 0.7, 1.0, 0.15
-MEAN_REVERSAL_SPEED = (
-    0.01  # m/s, over which the direction of friction changes, in means over a period: tanh(v / it)
-)
+# m/s, over which the direction of friction changes, in means over a period: tanh(v / it).
+MEAN_REVERSAL_SPEED = 0.01
 
 
 @CONTROLLERS.register("adaptive-pid")

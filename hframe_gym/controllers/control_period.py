@@ -7,9 +7,8 @@ import numpy as np
 from ..dynamics import mode_frequencies
 from ..machine import Machine
 
-SAMPLES_PER_MODE = (
-    4.0  # control periods per period of the slowest belt mode, at least, where one is suggested
-)
+# Control periods per period of the slowest belt mode, at least, where one is suggested.
+SAMPLES_PER_MODE = 4.0
 
 
 def shorter_period(machine: Machine, period: float) -> float | None:

@@ -21,9 +21,8 @@ COMMON_BELT_STD = 0.17  # of the error that all belts have in common because the
 # Of these deviations, what remains possible after an identification: heat, wear, friction that depends on the place.
 REMAINING = 0.25
 LARGEST_RATIO = 4.0  # largest ratio of a parameter to its declared value, or the inverse
-SMALLEST_NOISE_M = (
-    1e-7  # m, floor of the measurement noise in travel, also for sensors declared without noise
-)
+# m, floor of the measurement noise in travel, also for sensors declared without noise.
+SMALLEST_NOISE_M = 1e-7
 
 
 def prior_deviation(machine: Machine, name: str, declared: float) -> float:

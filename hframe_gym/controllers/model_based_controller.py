@@ -50,9 +50,8 @@ APPROACH_MARGIN = 2
 VOLTAGE_HEADROOM = 1.6
 REST_TRAVEL_M = 3e-5  # m, travel per period below which a stage is at rest
 LONGEST_HOLD = 2.0  # longest transfer of a ringing stage, in shortest transfers
-STRETCH_FILTER_GAIN = (
-    0.2  # fraction of the measured stretch error by which the motor reference changes per period
-)
+# Fraction of the measured stretch error by which the motor reference changes per period.
+STRETCH_FILTER_GAIN = 0.2
 
 
 @CONTROLLERS.register("pid")

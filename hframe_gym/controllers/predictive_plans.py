@@ -26,9 +26,8 @@ Indices = NDArray[np.intp]
 # Arrival: unit of the tool's errors, m, weight of the belts' motion at the end of the plan, and of the voltages as
 # fractions of their limits. The tool's error counts most.
 TOOL_UNIT, REST_WEIGHT, EFFORT_WEIGHT = 1e-4, 0.1, 1e-2
-REST_MODE_PERIODS = (
-    1.2  # time in which the tool is held at its goal in the plan, in periods of the slowest belt mode
-)
+# Time in which the tool is held at its goal in the plan, in periods of the slowest belt mode.
+REST_MODE_PERIODS = 1.2
 # Newton's method on the dual problem: maximum number of steps, step lengths that are tried, largest slope at the end.
 NEWTON_STEPS, STEP_LENGTHS, CONVERGED = 10, (1.0, 0.4, 0.1), 1e-7
 # Refinement: steps of the differences, V, which reach across static friction; error per sample that costs about as much

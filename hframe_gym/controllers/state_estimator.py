@@ -32,9 +32,8 @@ from .estimation_model import AugmentedParameters, MeasurementModel
 from .input_compensation import DeadTime
 from .motion_model import MotionModel
 
-SIGMA_SQUARED = (
-    3.0  # squared distance of the points in standard deviations: the kurtosis of a normal distribution
-)
+# Squared distance of the points in standard deviations: the kurtosis of a normal distribution.
+SIGMA_SQUARED = 3.0
 ROUNDING = 1e-9  # relative growth of variances that keeps a covariance positive definite in double precision
 
 # Each reduces the error by the slope of the deviation, which is below a third for the errors of real sensors.

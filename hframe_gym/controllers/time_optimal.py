@@ -40,9 +40,8 @@ except ImportError as error:
 HOLD_S = 0.04  # s, in which the tool comes to rest within the band; twice as long changes T by less than 1 us
 DEGREE = 2  # Radau points per interval: third order, and L-stable, which steep friction needs
 SMOOTHED_REVERSAL_SPEED = 0.01  # m/s, v0 of the smoothed friction; moves reach 0.5 to 1 m/s
-EFFORT_WEIGHT_S = (
-    1e-6  # s, weight of the mean squared voltage: selects one of several motions of nearly equal T
-)
+# s, weight of the mean squared voltage: selects one of several motions of nearly equal T.
+EFFORT_WEIGHT_S = 1e-6
 LONGEST_S, LARGEST_TRAVEL_M, LARGEST_SPEED = 5.0, 5.0, 10.0  # s, m, m/s: bounds of the search, at least
 # By default IPOPT starts so far inside the voltage limits that T first grows fourfold; the last barrier of 1e-7 s per
 # limit leaves T at most 0.05 ms above its minimum.

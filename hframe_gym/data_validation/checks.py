@@ -41,9 +41,8 @@ from .wiring import check_wiring
 
 _MIN_REST = 0.05  # s; a shorter rest hardly determines the initial state and the sensors' zeros
 _REST_TOLERANCE = 1e-6  # s; times in a file are rounded
-_MOVES = (
-    0.1  # fraction of a channel's span in all runs; a run without input that moves by more has lost its input
-)
+# Fraction of a channel's span in all runs; a run without input that moves by more has lost its input.
+_MOVES = 0.1
 _ROUNDED = 1.01  # times the rounding error; a sensor with less noise has none beside it
 _MORE_NOISE = 3.0  # ratio of measured to declared noise above which the noise is reported as advice
 

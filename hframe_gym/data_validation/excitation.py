@@ -15,13 +15,11 @@ from .findings import Finding, channel_unit
 from .wiring import sensor_motions
 
 _OVERVOLTAGE = 1.2  # times the rated voltage, above which the column's unit is doubted
-_NARROW_TRAVEL = (
-    0.3  # fraction of a coordinate's range; less does not determine effects that depend on position
-)
+# Fraction of a coordinate's range; less does not determine effects that depend on position.
+_NARROW_TRAVEL = 0.3
 _WIDE_TRAVEL = 1.05  # fraction of a coordinate's range; more contradicts the declared range
-_ONE_SIDED = (
-    0.15  # fraction of the moving time in the rarer direction that direction-dependent friction requires
-)
+# Fraction of the moving time in the rarer direction that direction-dependent friction requires.
+_ONE_SIDED = 0.15
 _SLOW = 0.1  # fraction of the top speed; motion below is slow
 _SLOW_TIME = 0.05  # fraction of the moving time that should be slow, to determine friction at low speed
 _MOVING = 0.01  # fraction of the top speed; motion below is rest

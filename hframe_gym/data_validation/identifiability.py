@@ -24,9 +24,8 @@ _MAX_ROWS = 20_000  # rows of a run that are simulated, to limit the time; more 
 _LARGE_STD = 0.1  # relative standard deviation above which a parameter is reported as poorly identifiable
 _INSEPARABLE = 0.98  # correlation above which two parameters are reported as inseparable
 _NO_INFLUENCE = 1e-12  # sensitivity relative to the largest one below which a parameter has no influence
-_SINGULAR = (
-    1e-13  # eigenvalue of the normalized information matrix below which a combination is not determined
-)
+# Eigenvalue of the normalized information matrix below which a combination is not determined.
+_SINGULAR = 1e-13
 _TINY = 1e-300  # avoids a division by zero, and changes no other value
 
 

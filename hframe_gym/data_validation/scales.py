@@ -36,9 +36,8 @@ _SPEED_FACTOR = 8.0  # factor between measured and simulated speed beyond which 
 _NEAR_UNIT = 1.5
 # Factor between the motion of a channel and what the others predict for it, beyond which they contradict it.
 _CONTRADICTION = 4.0
-_UNIT_TOLERANCE = (
-    2.0  # factor between measured and expected, beyond that of a unit, that a machine file may cause
-)
+# Factor between measured and expected, beyond that of a unit, that a machine file may cause.
+_UNIT_TOLERANCE = 2.0
 _CAUSE = "is its unit or gain wrong?"
 _LESS_VOLTAGE = "is it blocked, or does less than the recorded voltage act (amplifier limit, emergency stop)?"
 # Suspected unit by the unit of the channel: value per m or rad, and its name.
@@ -56,9 +55,8 @@ _CLOCK_UNITS = {
     60.0: "s",
     0.001: "s",
 }  # true unit of the times, by factor; other factors are wrong rates
-_CLOCK_TOLERANCE = (
-    1.6  # factor between the fitted viscous friction and the clock's; twice as wide for the inertia
-)
+# Factor between the fitted viscous friction and the clock's; twice as wide for the inertia.
+_CLOCK_TOLERANCE = 1.6
 
 
 def check_scales(data: Dataset, machine: Machine) -> list[Finding]:

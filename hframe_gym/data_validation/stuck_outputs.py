@@ -19,9 +19,8 @@ _STUCK_AFTER = 0.1  # s; a channel that is constant for a shorter time is not st
 _LONGEST_BLANK = 0.02  # s; longer times between two measurements are not bridged
 _MOVES = 0.1  # fraction of a channel's span in the run; a channel that should have moved by less may have been at rest
 _STRETCH_MARGIN = 2.0  # factor by which the declared friction, drives and stiffness may be wrong
-NOISE_SPAN = (
-    8.0  # peak-to-peak noise in standard deviations; about that of 20 000 normally distributed samples
-)
+# Peak-to-peak noise in standard deviations; about that of 20 000 normally distributed samples.
+NOISE_SPAN = 8.0
 _MIN_PAIRS, _MAX_EQUAL = (
     30,
     0.01,

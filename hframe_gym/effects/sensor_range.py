@@ -12,9 +12,8 @@ from ..dynamics.elementwise import maximum, minimum
 from ..machine import Effect, EffectParameter
 
 UNLIMITED = 10.0  # An end that was never reached is set to this multiple of the largest measurement.
-_END_FRACTION = (
-    0.005  # Fraction of the measurements at one outermost value above which it may be the end of a range.
-)
+# Fraction of the measurements at one outermost value above which it may be the end of a range.
+_END_FRACTION = 0.005
 
 
 def measurement(r, low, high):  # type: ignore[no-untyped-def]

@@ -16,12 +16,10 @@ from ..errors import InputError
 from ..machine import AXIS_UNITS, Drive, Machine, Sensor, observed_coordinates, rest_positions_per_axis
 from .workspace import workspace_of
 
-MARGIN = (
-    0.05  # m, distance by which the bounds of positions exceed the workspace, because the end stops yield
-)
-SPEED_FACTOR = (
-    3.0  # bound of velocities / no-load speed of the drives; no motion that a drive can cause is so fast
-)
+# m, distance by which the bounds of positions exceed the workspace, because the end stops yield.
+MARGIN = 0.05
+# Bound of velocities / no-load speed of the drives; no motion that a drive can cause is so fast.
+SPEED_FACTOR = 3.0
 
 # m, error at which the entries of `error` change from linear to logarithmic: about the precision that a policy without
 # them reaches.

@@ -22,9 +22,8 @@ from ..errors import InputError
 from ..machine import Effect, EffectParameter, Machine
 
 # Rubber buffers at the ends of x and y.
-BUFFER_STIFFNESS = (
-    2e5  # N/m: both motors at full voltage compress it by 1.2 mm; the cart oscillates on it below 2 kHz
-)
+# N/m: both motors at full voltage compress it by 1.2 mm; the cart oscillates on it below 2 kHz.
+BUFFER_STIFFNESS = 2e5
 BUFFER_DAMPING = 1.5  # s/m: an impact at 0.5 m/s rebounds with less than half its speed
 # The integrator keeps a force constant over a step h, so that a buffer could throw a light carriage of mass m back
 # faster than it came. These limits of stiffness * h^2 / m and of the slope of the force by the speed * h / m,

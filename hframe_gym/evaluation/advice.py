@@ -36,9 +36,8 @@ _DEFAULTS = {  # of the options of `hframe evaluate`
     "period": 0.01,
     "episodes": 512,
 }
-_CLEAR_GAIN = (
-    1.15  # Ratio to the shortest possible time above which another controller may be clearly faster.
-)
+# Ratio to the shortest possible time above which another controller may be clearly faster.
+_CLEAR_GAIN = 1.15
 
 
 def assumptions(scores: Mapping[str, Any]) -> dict[str, str]:

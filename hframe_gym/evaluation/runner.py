@@ -27,9 +27,8 @@ from .scenario import Episodes, Scenario, environments_of, make_controller
 
 SAMPLES_PER_PERIOD = 10
 MAX_SAMPLES = 200_000_000  # of all episodes together; a recorded sample of a planar machine takes 32 bytes
-MANY_PERIODS = (
-    10_000  # control periods of an episode from which a warning says that the evaluation takes long
-)
+# Control periods of an episode from which a warning says that the evaluation takes long.
+MANY_PERIODS = 10_000
 
 
 class Evaluation(NamedTuple):

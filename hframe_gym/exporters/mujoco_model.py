@@ -27,9 +27,8 @@ FRICTION = {
     "stiff": 'solreffriction="{twice} 1" solimpfriction="0.9999 0.9999 0.001 0.5 2"',
 }
 _PULLEY_MASS = 0.1  # kg; only the inertia of a pulley acts, because it does not travel
-_LARGEST_FRACTION = (
-    0.5  # of the heavier axis: what a carriage on it may weigh; the rest of its mass is armature
-)
+# Fraction of the heavier axis' mass that a carriage on it may weigh; the rest of its mass is armature.
+_LARGEST_FRACTION = 0.5
 
 
 class MujocoSettings(NamedTuple):

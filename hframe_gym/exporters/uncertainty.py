@@ -9,9 +9,8 @@ import numpy as np
 from ..arrays import Array
 from ..machine import Machine
 
-_STEP_IN_STD = (
-    1e-2  # step of the differences, in standard deviations: there a quantity is linear, and rounding is small
-)
+# Step of the differences, in standard deviations: there a quantity is linear, and rounding is small.
+_STEP_IN_STD = 1e-2
 
 
 def standard_deviations(machine: Machine, quantity: Callable[[Machine], Array]) -> Array | None:

@@ -25,9 +25,8 @@ _BLOCKS_AT_REST = 5  # This many blocks show that a run begins at rest, however 
 # Tolerances: how far the median of a block may depart from the blocks at rest before it counts as motion. They are wide
 # because a false motion costs the rest of a run, whereas true motion soon exceeds them.
 _NOISE_TOLERANCE = 8.0  # standard deviations of the noise of one sample
-_RANGE_TOLERANCE = (
-    3.0  # times the range of the medians at rest; slow noise varies by about as much everywhere
-)
+# Multiple of the range of the medians at rest; slow noise varies by about as much everywhere.
+_RANGE_TOLERANCE = 3.0
 _SPAN_TOLERANCE = 1e-4  # fraction of the sensor's span in the run, whatever its noise
 _SLOW_NOISE_SPAN = 1e-3  # fraction of the span that slow noise of a filtered sensor may reach; more is motion
 

@@ -21,9 +21,8 @@ from .sensor_properties import MIN_JITTER_ROWS, smooth_speed
 # noise is left where stamps are as good as equal steps (1); 100 us of jitter reach 100 with the encoders of a stage.
 _ROUGHER = 2.0
 _FAST = 75.0  # percentile of the speed beyond which errors of the times show
-_FARTHEST = (
-    0.5  # sampling periods; stamps that are farther from equal steps have another cause, such as a slow clock
-)
+# Sampling periods; stamps that are farther from equal steps have another cause, such as a slow clock.
+_FARTHEST = 0.5
 
 
 class RegularClock(NamedTuple):

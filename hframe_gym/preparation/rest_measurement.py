@@ -31,9 +31,8 @@ _STRETCH_RESIDUAL = 1.0 / 3.0  # of the belts' stretch under the drives' force, 
 # Durations, s, of the first measurements to which parabolas are fitted: short ones for fast changes, long ones for much
 # noise. Their smallest number of rows is more than twice that of a parabola's coefficients.
 _FITTED_S, _MIN_FITTED_ROWS = (0.005, 0.01, 0.02, 0.04), 8
-_COMPARED_S = (
-    0.05  # s from the first row, in which the simulations from rest and with each velocity are compared
-)
+# s from the first row, in which the simulations from rest and with each velocity are compared.
+_COMPARED_S = 0.05
 _SIGNIFICANT_SPEED = 5.0  # In standard deviations; noise hardly ever reaches it.
 # Of two velocities, one is certainly better if its sum of squared errors is less than this fraction of the other's. The
 # sum contains model errors, which do not average out, so no test for independent errors applies.

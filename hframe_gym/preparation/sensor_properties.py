@@ -130,9 +130,8 @@ _SPEED_ROWS, MIN_JITTER_ROWS = 11, 50  # samples that a speed is computed from; 
 # much larger errors would exchange the order of the samples. What looks like more has another cause, such as a sensor
 # that is slower than the log, and must not be taken for noise.
 _LARGEST_JITTER = 0.5
-_FIFTH_DIFFERENCE_VARIANCE = (
-    252.0  # of white noise with variance 1: the sum of the squared binomial coefficients
-)
+# Variance of fifth differences of white noise with variance 1: the sum of the squared binomial coefficients.
+_FIFTH_DIFFERENCE_VARIANCE = 252.0
 
 
 def difference_noise(channel: Sequence[Array]) -> float:

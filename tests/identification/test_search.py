@@ -40,9 +40,8 @@ class ScriptedSearch:
         self.differences: Any = None
         self.bandwidth = 0.0  # of the observer that the machine without effects needs
         self.observers: dict[str, RunObserver] = {}  # of the runs that need another one than the others
-        self.simulated: float | None = (
-            None  # chi-squared of a fit in simulation that replaces one with an observer
-        )
+        # Chi-squared of a fit in simulation that replaces one with an observer.
+        self.simulated: float | None = None
         script = self
 
         class FakeEffectSearch:

@@ -71,9 +71,8 @@ class Rig:
     pulley_radius_m: float = 0.0194
     belt_EA_N: PerBelt = (13906.5, 13906.5, 13906.5)
     belt_length_m: PerBelt = (1.3954, 1.3954, 1.2827)  # at x = y = 0
-    length_follows: bool = (
-        True  # the free length changes with x and y; False: stiffness is EA / belt_length_m everywhere
-    )
+    # The free length changes with x and y; False: stiffness is EA / belt_length_m everywhere.
+    length_follows: bool = True
     gear_ratio: float = 5.9
     torque_constant: PerDrive = (0.023, 0.023)  # Nm/A
     emf_constant: PerDrive = (0.023, 0.023)  # V s/rad
@@ -127,9 +126,8 @@ class Rig:
     )  # n, rad/m; periods per revolution of the belt pulley
     wave_phase: PerCoordinate = OFF  # p, rad
     wave_second: PerCoordinate = OFF  # c: the force above plus c A sin(2 n q), a second harmonic
-    catch_force: PerCoordinate = (
-        OFF  # A, maximum pull of a magnet at q0: -A sqrt(e) u exp(-u^2/2), u = (q - q0)/w
-    )
+    # A, maximum pull of a magnet at q0: -A sqrt(e) u exp(-u^2/2), u = (q - q0)/w.
+    catch_force: PerCoordinate = OFF
     catch_position: PerCoordinate = OFF  # q0
     catch_width: PerCoordinate = (0.01, 0.01, 0.5, 0.5)  # w
 
@@ -168,9 +166,8 @@ class Rig:
     )  # half the gap between the motor's gear, which the encoder measures, and the pulley
     backlash_stiffness: float = 300.0  # Nm/rad of the teeth
     backlash_damping: float = 0.0  # damping ratio of the pulley's inertia against the teeth
-    backlash_motor_fraction: float = (
-        0.6  # of the coordinate's inertia and friction, on the motor's side of the gap
-    )
+    # Fraction of the coordinate's inertia and friction on the motor's side of the gap.
+    backlash_motor_fraction: float = 0.6
     backlash_motor_viscous: float = 0.6  # the same of its viscous friction
 
     # Belts.
@@ -182,9 +179,8 @@ class Rig:
     belt_energy_force: bool = True  # the force 1/2 s^2 dk/dq of a belt whose stiffness k depends on position
     belt_pretension_N: float = INF  # the tension cannot fall by more than this
     belt_hardening: float = 0.0  # h: tension k s (1 + h s^2), 1/m^2
-    belt_relaxation: float = (
-        0.0  # a: beside every belt a k ds/dt = dT/dt + T/tau, a spring in series with a damper
-    )
+    # a: beside every belt a k ds/dt = dT/dt + T/tau, a spring in series with a damper.
+    belt_relaxation: float = 0.0
     belt_relaxation_s: float = 0.02  # tau
     belt_creep: PerDrive = (0.0, 0.0)  # m/s of slip on a motor's pulley per N that it transmits
     # Teeth of a motor's pulley: force A (1 + |transmitted force| / T) sin(2 pi r phi / pitch) on the belt.

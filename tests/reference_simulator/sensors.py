@@ -23,9 +23,8 @@ class Sensors:
     range_y_m: tuple[float, float] = (-INF, INF)  # and that of the cart
     delay_s: PerCoordinate = OFF
     bend: PerCoordinate = OFF  # c in r + c r^2, a scale that is not linear; 1/rad and 1/m
-    wave: PerCoordinate = (
-        OFF  # A in r + A sin(2 pi r / L + p): interpolation of a grating, eccentric encoder; rad, m
-    )
+    # A in r + A sin(2 pi r / L + p): interpolation of a grating, eccentric encoder; rad, m.
+    wave: PerCoordinate = OFF
     wave_period: PerCoordinate = (2.0 * np.pi, 2.0 * np.pi, 0.004, 0.004)  # L
     wave_phase: PerCoordinate = OFF  # p, rad
 

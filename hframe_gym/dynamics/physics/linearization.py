@@ -21,9 +21,8 @@ from ...machine import Machine
 from .equations import Equations
 
 _SHORTEST_PART = 0.01  # of the longest step
-_STEP_WITH_DELAY = (
-    0.4  # voltages that jump by 4 V and act 0.43 ms later: 6 um of error at 0.125 ms, 0.3 um at 0.05 ms
-)
+# Voltages that jump by 4 V and act 0.43 ms later: 6 um of error at 0.125 ms, 0.3 um at 0.05 ms.
+_STEP_WITH_DELAY = 0.4
 _MAX_PHASE = 0.75  # rad per integration step; the 20th-order H-frame has 0.73 at 0.5 ms
 _STEP = 1e-40  # complex step; its square vanishes beside every number of interest, and its products do not underflow
 _RIGID_EIGENVALUE = 1e-9  # eigenvalues below this fraction of the largest one belong to rigid-body modes

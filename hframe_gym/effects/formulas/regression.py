@@ -24,26 +24,22 @@ from scipy.optimize import least_squares
 from ...arrays import Array
 from .terms import Term
 
-_FINE_POINTS = (
-    16  # Points between two knots where a formula is compared with the straight pieces of the table.
-)
-_ERROR_FLOOR = (
-    0.02  # Standard deviation of every ordinate relative to the curve's, for what straight pieces hide.
-)
+# Points between two knots where a formula is compared with the straight pieces of the table.
+_FINE_POINTS = 16
+# Standard deviation of every ordinate relative to the curve's, for what straight pieces hide.
+_ERROR_FLOOR = 0.02
 _ABSORBED = 30.0  # Standard deviation, relative to the curve's, of what other parameters can represent.
 _FOLDS = 4  # Every fourth knot is left out in turn.
 _MAX_TERMS = 3
 _MAX_SINGLES = 6  # First terms that are extended by further ones.
 _POOR = 8.0  # A fit to all knots with this times the smallest error is not validated.
 _HOPELESS = 4.0  # A formula with this times the smallest error of the left-out knots is not proposed.
-_EXPLAINED = (
-    0.5  # Error, in standard deviations, at which nothing is left that further parameters could explain.
-)
+# Error, in standard deviations, at which nothing is left that further parameters could explain.
+_EXPLAINED = 0.5
 # Pairs of terms of which one with an offset or another center can be written by the other.
 _REDUNDANT = ({"square", "parabola"}, {"step", "slow step"}, {"decay", "slow decay"}, {"bump", "resonance"})
-_CLEAR_GAIN = (
-    0.85  # A formula with more parameters must reduce the error of the left-out knots to this fraction.
-)
+# A formula with more parameters must reduce the error of the left-out knots to this fraction.
+_CLEAR_GAIN = 0.85
 
 
 @dataclass(frozen=True)

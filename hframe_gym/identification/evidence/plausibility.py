@@ -18,9 +18,8 @@ from ...machine import Belt, Machine, rest_state
 from ..judge.effect import MachineBehavior, fault_of_machine
 
 _HISTORIES, _SECONDS, _PERIOD = 4, 2.0, 1e-3  # s
-_MEAN_HOLD = (
-    0.02  # s, mean time between two jumps of a voltage; longer ones drive a carriage out of its workspace
-)
+# s, mean time between two jumps of a voltage; longer ones drive a carriage out of its workspace.
+_MEAN_HOLD = 0.02
 _REACH = 1.5  # extensions are checked up to this multiple of those that the rated voltage causes
 _EXTENSION_POINTS = 401
 _FLAT = 1e-9  # fraction of the largest tension that counts as rounding error

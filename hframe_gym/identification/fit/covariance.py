@@ -29,9 +29,8 @@ from .estimation import SWITCH_CHANGES, Fit, with_changed_switch
 
 BLOCK_S = 0.5  # s; longer than the correlation of the residual, vibrations included
 _MAX_LEVERAGE = 0.99  # Largest fraction of the information in one block for which its residual is corrected.
-_MAX_DIFFERENCE = (
-    0.01  # Theta; over shorter central differences, the curvature of the exponential is negligible.
-)
+# theta; over shorter central differences, the curvature of the exponential is negligible.
+_MAX_DIFFERENCE = 0.01
 # Standard deviation of the delay between inputs and measurements, in sampling periods. The times of recordings are no
 # more accurate than that, and 1 % changes the identified inertia of a motor by more than the sensors' noise does.
 _DELAY_STD = 0.005

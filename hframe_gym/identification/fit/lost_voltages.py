@@ -39,9 +39,8 @@ _SMALLEST_ERROR = 1e-6  # V, of interpolation
 _MIN_PREDICTIONS = 10  # recorded rows that show how accurate interpolation is
 _EVALUATIONS = 8  # of the posterior density, at most
 _SHORTER = 0.3  # factor for a step that does not increase the posterior density
-_SMALLEST_DECREASE = (
-    0.01  # of twice the negative logarithm of the posterior density, below which the iterations end
-)
+# Decrease of twice the negative logarithm of the posterior density below which the iterations end.
+_SMALLEST_DECREASE = 0.01
 _UNCHANGED = 0.05  # change relative to the error of interpolation that is not worth another fit
 
 

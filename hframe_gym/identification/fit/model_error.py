@@ -34,9 +34,8 @@ from ..predict.prediction import (
 )
 from .estimation import Fit, cross_validation, fit, prediction_cost
 
-_CONVERGED_COST = (
-    0.02  # Decrease of cost / chi2 at which a polished fit ends; it is 1 at one standard deviation.
-)
+# Decrease of cost / chi2 at which a polished fit ends; it is 1 at one standard deviation.
+_CONVERGED_COST = 0.02
 # Bandwidths that are compared, rad/s. The likelihood changes little between neighbors.
 BANDWIDTHS = (SEARCH_BANDWIDTH, 30.0, 15.0, 7.0, 3.0, SIMULATION)
 _FOLDS = 3  # parts of the runs that are left out in turn, where fits are repeated

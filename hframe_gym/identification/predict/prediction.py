@@ -39,9 +39,8 @@ POLISH_STEP = 0.125e-3  # s; an input that changes inside a step costs a microme
 
 # Bandwidth of lasers relative to that of encoders beside them, whose noise is smaller.
 _LASER_BANDWIDTH_RATIO = 25.0 / 60.0
-_SPEED_RATIO = (
-    0.5  # a sensor of a speed corrects by 2 * bandwidth like one of a position, and has one pole there
-)
+# A sensor of a speed corrects by 2 * bandwidth like one of a position, and has one pole there.
+_SPEED_RATIO = 0.5
 LONGEST_OBSERVER_PERIOD = 5e-3  # s; limits the observer gains of slowly sampled recordings
 _BLOCK_S = 4e-3  # s; measurements respond more slowly than this to mechanical effects
 

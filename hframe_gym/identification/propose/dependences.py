@@ -41,9 +41,8 @@ from ..judge import cause as judge
 from ..predict.free_parameters import typical_force
 
 _MOST_ROWS = 10_000  # that are compared; of longer recordings fewer per second
-_ROUNDING_FORCE = (
-    1e-9  # Of the typical force; a smaller missing force is a rounding error, as on an axis at rest.
-)
+# Fraction of the typical force; a smaller missing force is a rounding error, as on an axis at rest.
+_ROUNDING_FORCE = 1e-9
 _FORCE_HZ = 150.0  # rate at which forces below 30 Hz are compared
 _DISAGREEMENT_HZ = 500.0  # rate at which the sensors are compared, whose noise needs no filter
 _PIECES = 6  # fewer runs are divided into at least that many pieces, each of which is left out once

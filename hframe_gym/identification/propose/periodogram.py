@@ -23,9 +23,8 @@ _ROWS_PER_PERIOD = 4.0  # Minimum number of rows per period. Rows of faster moti
 # Lowest speed that is used, relative to the highest one that is used. Near standstill, the direction of dry friction is
 # uncertain.
 _SLOWEST = 0.02
-_MIN_ROWS = (
-    50  # A period is tried only with this many slow rows: ten for each of the five fitted coefficients.
-)
+# A period is tried only with this many slow rows: ten for each of the five fitted coefficients.
+_MIN_ROWS = 50
 _POINTS_PER_PERIOD = 4  # The grid of rates has this many points per additional period over the range.
 _CELLS_PER_POINT = 16  # Least number of cells of the transform's position grid in the shortest period.
 _GROUP_RATIO = 2.0**0.5  # Ratio of the highest to the lowest rate of a group that is fitted to the same rows.

@@ -27,9 +27,8 @@ from ..predict.prediction import POLISH_STEP, SEARCH_BANDWIDTH, SIMULATION
 from .candidates import SearchState, candidates, effect_parameters, is_required
 from .screening import ScoredCandidate, resemblances, screen, screen_structures
 
-_RESEMBLING = (
-    3  # effects that are fitted in place of a selected one because these runs may not distinguish them
-)
+# Effects that are fitted in place of a selected one because these runs may not distinguish them.
+_RESEMBLING = 3
 _SHAPES = 2  # starting values of an effect at a site that are fitted
 _THRESHOLD_CHANGES = (
     -0.7,

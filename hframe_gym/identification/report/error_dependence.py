@@ -18,9 +18,8 @@ from .units import readable_unit
 
 _BINS = 40  # intervals of position or speed, of equal width
 _MIN_ROWS = 20  # of an interval, so that its mean has a normal distribution whatever the noise is
-_SMOOTHED_S = (
-    0.02  # of a position from which the speed is computed: noise of 20 um becomes about 1 mm/s at 1 kHz
-)
+# s, over which a position is averaged before its speed is computed: noise of 20 um becomes about 1 mm/s at 1 kHz.
+_SMOOTHED_S = 0.02
 
 
 def error_panels(report: Mapping[str, Any], curves: Mapping[str, Array], machine: Machine) -> list[Panel]:

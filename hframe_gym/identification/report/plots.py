@@ -24,9 +24,8 @@ _SLOW = 0.05  # Fraction of a coordinate's top speed below which friction shows 
 _MAX_RUNS = 2  # Held-out runs whose errors are drawn over time.
 _MEAN_BINS = 40  # Points of the mean curve through the residual force.
 _MAX_DOTS = 1000  # Points of the residual force that a panel shows of each machine.
-_MAX_BUCKETS = (
-    350  # Intervals of a curve over time, of which a panel shows the smallest and the largest value.
-)
+# Intervals of a curve over time, of which a panel shows the smallest and the largest value.
+_MAX_BUCKETS = 350
 _UNITS_ANYWHERE = {"current": "A", "heat": "A^2", "power": "W", "dwell": "s"}
 _QUANTITIES = {  # of a variable: quantity of the coordinate, and what follows its unit
     "velocity": ("speed", ""),

@@ -39,9 +39,8 @@ _BINS = (
 )  # Bins of the variable over which a force is averaged; finer than the knots, to find the bends.
 _BASE_KNOT_DENSITY = 0.15  # Relative density of knots where the curve is straight; the sharpest bend adds 1.
 _MIN_BIN_SAMPLES = 21  # The mean of a bin with fewer samples is too noisy to be used.
-_CURVATURE_POWER = (
-    0.4  # Knots at a density of this power of the curvature leave the smallest mean squared error.
-)
+# Knots at a density of this power of the curvature leave the smallest mean squared error.
+_CURVATURE_POWER = 0.4
 _EVEN_KNOTS = (
     1.0 / 6.0
 )  # Fraction of the knots that are spread evenly, so that bends between the others are seen.
