@@ -80,8 +80,8 @@ def refine_encoder_zeros(data: Dataset, machine: Machine, reference: Dataset | N
 
     Returns:
         Copy with corrected initial states and measurements, m or rad, shape (n, sensors) for each run. `data` itself if
-        the machine has no effects, if no encoder with a known zero resolves the stretch of the belts, or if the effects
-        change nothing at rest and the voltages are interpolated between the rows.
+        the machine has no effects that change anything at rest, or if no encoder with a known zero resolves the stretch
+        of the belts.
     """
     runs = (data if reference is None else reference).runs
     if not machine.effects or not any(np.any(run.initial.resolves_stretch) for run in data.runs):
@@ -90,10 +90,8 @@ def refine_encoder_zeros(data: Dataset, machine: Machine, reference: Dataset | N
     errors = encoder_zero_errors(machine, states)
     bare = dataclasses.replace(machine, effects=(), ties={})
     # Effects that change nothing at rest, such as those of friction, give no reason to correct zeros of all runs by the
-    # median of some. Measured in logs with interpolated voltages only (chi-squared 1.64 instead of 1.07).
-    if data.has_voltage_errors and np.allclose(
-        errors, encoder_zero_errors(bare, states), rtol=0.0, atol=1e-9
-    ):
+    # median of some (chi-squared 1.64 instead of 1.07 in a log with interpolated voltages).
+    if np.allclose(errors, encoder_zero_errors(bare, states), rtol=0.0, atol=1e-9):
         return data
     initial = [_with_corrected_zeros(run.initial, machine, errors) for run in data.runs]
     corrected = (
