@@ -355,9 +355,8 @@ class PlanBank:
         self, machine: Machine, period: float, estimator: ParameterFilter, durations: Sequence[int]
     ) -> None:
         self._model, self._estimator, self.size = MotionModel(machine), estimator, len(durations)
-        self._ratios = ParameterRatios(
-            machine, estimator.parameter_names
-        )  # not its machine, which has no dead time
+        # not its machine, which has no dead time
+        self._ratios = ParameterRatios(machine, estimator.parameter_names)
         self._transfers = SimulatedTransfers(self._model, period, durations)
         self._of_observation = _state_of_observation(self._model)
 

@@ -159,9 +159,8 @@ def build_task(recipe: Recipe, name: str, unit: AxisUnit = METERS) -> Task:
         InputError: If the task is unknown, its class does not have the keywords of `recipe.task`, or its observation
             has another number of future goals (`Task.ahead_s`) than the features of the recipe use.
     """
-    settings: dict[str, Any] = {
-        key: tuple(v) if isinstance(v, list) else v for key, v in recipe.task.items()
-    }  # TOML has no tuples
+    # TOML has no tuples.
+    settings: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in recipe.task.items()}
     for key in set(TASKS.get(name).lengths) & set(settings):
         settings[key] *= unit.per_meter
     try:

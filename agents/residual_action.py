@@ -255,9 +255,8 @@ class ResidualAction:
             self._dead_time.reset(self._starts.mask)
             arrived = self._dead_time.arrived_history()[1][:, :-1]
             self._filter.update(before, after, arrived, self._starts.mask)
-            self._dead_time.send(
-                self._last_action
-            )  # `replace_last_action` replaces it by the action of this period
+            # `replace_last_action` replaces it by the action of this period
+            self._dead_time.send(self._last_action)
         self._last_observation = np.where(starting, state, self._observation)
         self._last_action = np.where(starting, 0.0, self._last_action)
         self._starts.clear()

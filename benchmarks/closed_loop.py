@@ -61,11 +61,12 @@ RIGS = (
     "constant_force@y full",
     "belt_play@belts full",
 )
+# File of the identification result: randomization.
 STAGES = {
     "declared": "default",
     "before": "default",
     "machine": "identified",
-}  # file of the identification result: randomization
+}
 NAMES = {"declared": "declared", "before": "refitted", "machine": "corrected"}
 SEED, EPISODES = 2000, 24  # seed of starts and goals, number of episodes
 AGENTS = (0, 1, 2)  # seeds

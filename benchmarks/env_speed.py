@@ -27,12 +27,8 @@ from hframe_gym.dynamics import LANES, in_parallel, kernel_for
 from hframe_gym.dynamics.simulation import threads
 from hframe_gym.envs import HFrameVectorEnv
 
-SEED, ENVS, STEPS, REPEATS = (
-    3,
-    4096,
-    150,
-    7,
-)  # STEPS is one episode, so every run contains a reset of each environment
+# STEPS is one episode, so every run contains a reset of each environment.
+SEED, ENVS, STEPS, REPEATS = 3, 4096, 150, 7
 OPTIONS: dict[str, dict[str, Any]] = {
     "default": {},
     "integration step 0.25 ms": {"longest_step": 0.25e-3},

@@ -106,9 +106,8 @@ def identify_case(case: Case, folder: str, key: str, resume: bool) -> Row:
         row = score_session(session, identify(recordings, machine, budget=math.inf))
     except Exception as error:  # an error on one rig must not lose the hours of the others
         return {"rig": case.name, "failed": "".join(traceback.format_exception(error))}
-    row["cpu_seconds"] = round(
-        time.process_time() - began, 2
-    )  # of all threads; other load does not change it
+    # of all threads; other load does not change it
+    row["cpu_seconds"] = round(time.process_time() - began, 2)
     write_text(cached, json.dumps({"key": key, "row": row}, indent=1) + "\n")
     return row
 

@@ -52,9 +52,8 @@ class KernelBatch:
     def __post_init__(self) -> None:
         m = self.machine
         self.kernel = kernel_for(m)
-        self.parameters = in_blocks(
-            np.tile(parameter_batch(m), (self.batch, 1))
-        )  # (blocks, parameters, LANES)
+        # (blocks, parameters, LANES)
+        self.parameters = in_blocks(np.tile(parameter_batch(m), (self.batch, 1)))
         self.blocks = len(self.parameters)
         self.derived = np.zeros((self.blocks, len(self.kernel.layout.derived), LANES))
         self.kernel.prepare_blocks(self.parameters, STEP, 0, self.blocks, self.derived)

@@ -26,14 +26,10 @@ from tests.rigs.random_effects import DrawnEffect
 from tests.rigs.random_rigs import RandomRig, RandomSession
 from tests.rigs.true_machine import identified_values, true_machine
 
-NOISE = np.array(
-    [ENCODER_STEP_RAD / math.sqrt(12.0)] * 2 + [LASER_NOISE_M] * 2
-)  # of phi1, phi2, rad; x, y, m
-_HISTORIES, _HISTORY_S, _HOLD_S = (
-    3,
-    2.0,
-    0.02,
-)  # random rated voltages that the written machine has to survive
+# Noise of phi1, phi2, rad; x, y, m.
+NOISE = np.array([ENCODER_STEP_RAD / math.sqrt(12.0)] * 2 + [LASER_NOISE_M] * 2)
+# Random rated voltages that the written machine has to survive.
+_HISTORIES, _HISTORY_S, _HOLD_S = 3, 2.0, 0.02
 
 
 def score_rig(

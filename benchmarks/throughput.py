@@ -48,12 +48,13 @@ from hframe_gym.dynamics.simulation import threads
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 
 STAGES = 4096
+# Formulas of a step without a stop.
 FRICTION = (
     "direction",
     "static_friction",
     "friction_force",
     "update_speed",
-)  # formulas of a step without a stop
+)
 BAR, AIM = 300.0, 800.0  # ratio of the kernel's rate to MuJoCo's: required and desired
 # MuJoCo's fastest integrator and solver on this stage with its driest friction; `fastest_choice` measures them all.
 FASTEST = Choice("Euler", "PGS", "stiff")
@@ -322,9 +323,8 @@ def roofline(console: Console, machine: Machine) -> dict[str, Any]:
     large = max(KernelBatch(machine, 16384).rate(parallel=False) for _ in range(3))
     single = max(KernelBatch(machine, 1).rate(parallel=False) for _ in range(5))
     smooth = KernelBatch(machine, LANES * 16)
-    smooth.inputs = [
-        np.full_like(u, 12.0) for u in smooth.inputs
-    ]  # constant voltage: no coordinate ever stops
+    # Constant voltage: no coordinate ever stops.
+    smooth.inputs = [np.full_like(u, 12.0) for u in smooth.inputs]
     steady = max(smooth.rate(parallel=False) for _ in range(7))
     blocks = rate / LANES
     results: dict[str, Any] = {

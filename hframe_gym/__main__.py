@@ -46,9 +46,8 @@ def main() -> None:
             exit code 130 (SIGINT) or 143 (SIGTERM) instead, without an exception.
     """
     for number in _LINES:
-        if (
-            signal.getsignal(number) is not signal.SIG_IGN
-        ):  # ignored by nohup, or in the background of a script
+        # Ignored by nohup, or in the background of a script.
+        if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _stop)
     if isinstance(sys.stdout, TextIOWrapper):  # the encoding of a Windows console has no Chinese, for example
         sys.stdout.reconfigure(errors="backslashreplace")

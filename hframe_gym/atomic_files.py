@@ -113,10 +113,11 @@ class _Stage:
         if not self.complete.exists():
             return
         new, removed = _files(self.new), _files(self.removed)
+        # a folder from elsewhere could have a stage that changes files of this user
         for name in (
             *new,
             *removed,
-        ):  # a folder from elsewhere could have a stage that changes files of this user
+        ):
             if not (folder / name).parent.resolve().is_relative_to(folder):
                 raise InputError(f"{folder}: {name.parent} is a link out of this folder; delete {self.path}")
         for name in removed:

@@ -46,9 +46,8 @@ def _first_usable(preferred: tuple[str, ...], temporary: str) -> Path:
         try:
             path.mkdir(parents=True, exist_ok=True, mode=0o700 if folder == temporary else 0o755)
             free = shutil.disk_usage(path).free
-            with tempfile.TemporaryFile(
-                dir=path
-            ):  # Windows knows only in this way whether a folder can be written
+            # Windows knows only in this way whether a folder can be written.
+            with tempfile.TemporaryFile(dir=path):
                 pass
         except OSError:
             continue

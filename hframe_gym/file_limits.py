@@ -100,9 +100,8 @@ def read_document(path: Path) -> str:
             raise InputError(
                 f"{path}: is larger than {MAX_DOCUMENT >> 20} MB, which is not a file of this kind"
             )
-        utf_16 = content.startswith(
-            (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
-        )  # `>` in Windows PowerShell writes it
+        # `>` in Windows PowerShell writes it
+        utf_16 = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
         return content.decode("utf-16" if utf_16 else "utf-8-sig")
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from None

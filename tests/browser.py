@@ -26,9 +26,8 @@ FLAGS = (
     "--hide-scrollbars",
 )
 
-CHECKS = (
-    Path(__file__).parent / "page_checks.js"
-).read_text()  # returns everything that is wrong with a page
+# Returns everything that is wrong with a page.
+CHECKS = (Path(__file__).parent / "page_checks.js").read_text()
 
 
 @contextmanager

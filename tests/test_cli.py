@@ -480,6 +480,7 @@ def test_a_band_in_which_nothing_settles_has_no_settling_time() -> None:
         "scores": {"reach": {"final_error_mm": 1.0, **part}},
     }
     (table,) = cli_tables.protocol_tables([result])
+    # Nor a ratio to the bound.
     assert printed(table, 80).split()[-6:] == [
         "idle",
         "50.0",
@@ -487,7 +488,7 @@ def test_a_band_in_which_nothing_settles_has_no_settling_time() -> None:
         "0.0",
         "-",
         "-",
-    ]  # nor a ratio to the bound
+    ]
 
 
 def test_machines_lists_the_built_in_machines(hframe_command: Command) -> None:

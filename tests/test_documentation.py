@@ -18,9 +18,8 @@ SITE = [page for page in PAGES if page.parent == ROOT or "docs" in page.parts]
 # Paths of this repository in backticks; placeholders such as NAME and patterns are not paths.
 _PATH = re.compile(r"`((?:hframe_gym|agents|benchmarks|tests|tools|docs|examples)/[\w./-]*?)(?:::\w+)?`")
 _LINK = re.compile(r"\]\((?!https?:|#)([^)#]+)")
-_TESTED_BY = re.compile(
-    r"run by `(tests/[\w/]+\.py)`"
-)  # a page whose blocks another test executes names that test
+# a page whose blocks another test executes names that test
+_TESTED_BY = re.compile(r"run by `(tests/[\w/]+\.py)`")
 
 
 def name_of(page: Path) -> str:

@@ -140,9 +140,8 @@ def _add_commands(sections: list[str], command: Any, name: str) -> None:
     if not hasattr(command, "commands"):
         return
     context = typer.Context(command)
-    for subcommand in sorted(
-        command.list_commands(context)
-    ):  # `hframe export` makes its commands when listed
+    # `hframe export` makes its commands when listed
+    for subcommand in sorted(command.list_commands(context)):
         _add_commands(sections, command.get_command(context, subcommand), f"{name} {subcommand}")
 
 

@@ -28,9 +28,8 @@ from hframe_gym.recordings import load_machine, load_recordings
 
 # Janot et al. (2019): viscous and Coulomb friction and an offset, least squares on the first record.
 PUBLISHED = {"train": 0.04083, "test": 0.05982}
-PUBLISHED_OFFSET = (
-    -3.165
-)  # N, in their equation on the side of the inertia, so it is a force of the opposite sign
+# N, in their equation on the side of the inertia, so it is a force of the opposite sign.
+PUBLISHED_OFFSET = -3.165
 RECORDS = ("emps_train", "emps_test_pulses")
 
 

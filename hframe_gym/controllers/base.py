@@ -154,9 +154,8 @@ def check_state_units(observation: KeyedObservation, model: MotionModel) -> None
     achieved = np.asarray(observation["achieved_goal"], np.float64)
     rotary = [i for i, name in enumerate(model.observed) if model.machine.coordinate(name).kind == "rotary"]
     rotary = [i for i in rotary if model.observed[i] not in model.axes]
-    if (
-        not rotary or values.shape[1] != 2 * count
-    ):  # no angle shows the scale: the size of the workspace has to
+    # no angle shows the scale: the size of the workspace has to
+    if not rotary or values.shape[1] != 2 * count:
         check_goal_units(observation, model.machine)
         return
     radii = np.array([model.machine.coordinate(model.observed[i]).travel_per_unit for i in rotary])

@@ -226,9 +226,8 @@ class MinimumEnergyTransfers(TransferDesign):
         for _ in range(N):
             powers.append(A @ powers[-1])
         # The voltages with the least sum of squares that bring the scaled state error to zero in N periods.
-        response = np.hstack(
-            [powers[j] @ B for j in reversed(range(N))]
-        )  # reachability matrix, (2 n, drives * N)
+        # Reachability matrix, (2 n, drives * N).
+        response = np.hstack([powers[j] @ B for j in reversed(range(N))])
         volts = -np.linalg.lstsq(response, powers[N] @ (error[0] / scale), rcond=None)[0].reshape(N, -1)
         states = [error[0] / scale]
         for period_volts in volts:

@@ -32,10 +32,8 @@ from ..dynamics import Equations, MotionPoint, rollout
 from ..errors import InputError
 from .motion_model import FRICTION_COMPENSATION_SPEED, MotionModel
 
-TAYLOR_DEGREE, HALVINGS = (
-    8,
-    7,
-)  # of the matrix exponential; the period over 2^7 is far below that of any belt mode
+# Of the matrix exponential; the period over 2^7 is far below that of any belt mode.
+TAYLOR_DEGREE, HALVINGS = 8, 7
 VELOCITY_SCALE_S = 0.01  # s, typical position error over velocity error, for the condition of W_N
 FRICTION_TRAVEL = 1e-3  # m, position error over which the expected direction of friction changes
 SIMULATED_PERIODS, CORRECTIONS = 6, 5  # longest plan that is simulated, and how often it is corrected

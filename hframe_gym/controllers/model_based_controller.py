@@ -78,9 +78,8 @@ class ModelBasedController(FullStateController):
         self._dead_time = DeadTime(machine, period)
         self._inversion = InputInversion(machine)
         self._tracker: PreviewTracker | None = None  # created when the length of the preview is known
-        self._disturbance_limit = (
-            DISTURBANCE_LIMIT * np.abs(self.model.rigid.T) @ self.model.coulomb
-        )  # N, (2,)
+        # N, shape (2,)
+        self._disturbance_limit = DISTURBANCE_LIMIT * np.abs(self.model.rigid.T) @ self.model.coulomb
         self._longest_hold = int(np.ceil(LONGEST_HOLD * self.transfers.shortest))
         self._state = np.zeros((0, 0))  # at the last observation
         self._stretch = np.zeros((0, 0))  # m, motor reference minus that of unstretched belts

@@ -63,9 +63,8 @@ class TextbookPID(FullStateController):
         Saturation, Coulomb friction and dead time are ignored.
         """
         n, axes = len(self.model.mass), len(self._axes)
-        position, velocity = (
-            np.eye(2 * n)[self._axes + shift] for shift in (0, n)
-        )  # select the tool from the state
+        # Select the tool from the state.
+        position, velocity = (np.eye(2 * n)[self._axes + shift] for shift in (0, n))
         volts_per_force = self.model.voltage(np.eye(axes)).T
         integral = self.integral * self.period
         state_gain = (self.proportional + integral)[:, None] * position + self.derivative[:, None] * velocity

@@ -135,9 +135,8 @@ def _late_stamps(time_s: Array, gaps: NDArray[np.bool_]) -> bool:
     if np.count_nonzero(short) < 0.5 * np.count_nonzero(gaps):
         return False
     period = float(time_s[-1] - time_s[0]) / len(steps)
-    lateness = time_s - period * np.arange(
-        len(time_s)
-    )  # plus a constant; a missing row makes all later times late
+    # Lateness plus a constant; a missing row makes all later times late
+    lateness = time_s - period * np.arange(len(time_s))
     return not any(
         np.median(lateness[k + 1 : k + 1 + _NEIGHBORS])
         - np.median(lateness[max(k + 1 - _NEIGHBORS, 0) : k + 1])
@@ -328,9 +327,8 @@ def _feedthrough(runs: Sequence[PreparedRecording], machine: Machine) -> _Feedth
     directions = _directions(machine)[measured]
     channels = [np.hstack([r.inputs, r.outputs[:, measured]]) for r in runs]
     rows = np.concatenate([sliding_window_view(values, _PAST_ROWS + 1, axis=0) for values in channels])
-    rows = rows[
-        np.isfinite(rows[..., :-1]).all(axis=(1, 2))
-    ]  # (rows, channels, previous rows and the row itself)
+    # (rows, channels, previous rows and the row itself)
+    rows = rows[np.isfinite(rows[..., :-1]).all(axis=(1, 2))]
     found = _Feedthrough(1.0, 0.0, 0.0)
     for j, direction in enumerate(directions, start=drives):
         used = rows[np.isfinite(rows[:, j, -1])]

@@ -136,9 +136,8 @@ def simulate_batch(
     count, radii = len(machine.coordinates), machine.travel_per_unit
     kernel = kernel_for(machine, forced=extra_force is not None)
     given = np.atleast_2d(rest_state(machine) if start is None else start)
-    start = np.zeros(
-        (len(given), kernel.states - 1)
-    )  # also of effects; accelerations and currents, if measured
+    # States, also of effects; accelerations and currents, if measured.
+    start = np.zeros((len(given), kernel.states - 1))
     start[:, : given.shape[1]] = given
     start[:, : 2 * count] *= np.tile(radii, 2)
     inputs, force, observed = _series(inputs), _series(extra_force), _series(measured)

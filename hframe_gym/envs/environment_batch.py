@@ -125,9 +125,10 @@ class EnvironmentBatch:
     @cached_property
     def fingerprint(self) -> str:
         """Hash of machine, task, number of environments and options, which a saved state must share."""
+        # Pydantic takes long to import, and few save states.
         from ..recordings.machine_file import (
             machine_to_dict,
-        )  # pydantic takes long to import, and few save states
+        )
 
         config = self.config
         options = {

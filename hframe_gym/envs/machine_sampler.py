@@ -158,9 +158,8 @@ class RuleSampler:
                 f"names are, for example, {', '.join(similar)}"
             )
         self._add_step(indices, rule)
-        self._changed |= {
-            i for i in indices if rule.how != "scale" or self.low[i] or self.high[i]
-        }  # 0 remains 0
+        # 0 remains 0
+        self._changed |= {i for i in indices if rule.how != "scale" or self.low[i] or self.high[i]}
         for i in indices:
             self._update_range(i, rule)
 

@@ -51,9 +51,8 @@ class StateView:
         lines = []
         for j, signal in enumerate(signals):
             i = names.index(signal.coordinate)
-            row = (
-                i + len(names) * signal.velocity
-            )  # all positions come first in the state, then all velocities
+            # All positions come first in the state, then all velocities.
+            row = i + len(names) * signal.velocity
             value = f"load(state, {row}) * load(units, {i})"
             first, second = (
                 (-1, -1) if signal.velocity else tool_product(simulator.machine, signal.coordinate)

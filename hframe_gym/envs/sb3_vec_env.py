@@ -90,9 +90,8 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
             **{**keywords, **options},
         )
         self._actions: NDArray[Any] | None = None
-        self._previous_goals: tuple[
-            str, ...
-        ] = ()  # keys of the infos from which `compute_reward` takes goals
+        # Keys of the infos from which `compute_reward` takes goals.
+        self._previous_goals: tuple[str, ...] = ()
         super().__init__(num_envs, self.envs.single_observation_space, self.envs.single_action_space)
 
     @override

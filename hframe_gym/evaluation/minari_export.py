@@ -263,9 +263,8 @@ def _record(controller: Controller, envs: HFrameVectorEnv, seed: int, buffer_cla
             observations.append(observation)
             infos.append(_without_masks(info))
             steps.append((actions, reward, terminated, truncated))
-            over = bool(
-                truncated.all()
-            )  # nothing terminates with end stops, so all episodes have the same length
+            # Nothing terminates with end stops, so all episodes have the same length.
+            over = bool(truncated.all())
     except NotFiniteError as error:
         name = envs.machine.name
         raise InputError(

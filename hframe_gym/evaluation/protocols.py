@@ -48,10 +48,8 @@ from .undeclared_effects import effect_rules, with_absent_effects
 
 Draws = dict[str, list[float | None]]
 DECIMALS = 6  # of the values in results, s and mm: hides differences between processors, far below any effect
-SEED_OF_RESULTS, SEED_OF_HARD = (
-    1000,
-    71_000,
-)  # draws of these seeds decide nothing: no tuning, no selection of agents
+# Draws of these seeds decide nothing: no tuning, no selection of agents.
+SEED_OF_RESULTS, SEED_OF_HARD = 1000, 71_000
 GAP = "gap-v1"  # runs in a clone of the repository only
 FIXED_OPTIONS = ("machine", "task", "path", "randomize", "sensors", "period", "episodes", "seed")
 

@@ -104,9 +104,8 @@ class MotionFormulas:
         )
         shape = (count, len(axes))
         position = rng.uniform(ranges[:, 0], ranges[:, 1], shape)
-        velocity = (
-            0.8 * highest * rng.uniform(-1.0, 1.0, shape) ** 3
-        )  # many slow ones, where friction changes
+        # Many slow ones, where friction changes.
+        velocity = 0.8 * highest * rng.uniform(-1.0, 1.0, shape) ** 3
         velocity[rng.random(shape) < 0.25] = 0.0
         return rng.uniform(0.0, 100.0, count), position, velocity, hardest * rng.uniform(-1.0, 1.0, shape)
 

@@ -61,10 +61,11 @@ class StageGeometry:
     def __init__(self, workspace: NDArray[np.float64], bridge_axis: int | None = 0) -> None:
         (self.left, self.right), (self.low, self.high) = np.asarray(workspace, float).tolist()
         self.bridge_axis = bridge_axis
+        # m, from the workspace to the rails and pulleys, along x and y
         out = [
             self.clearance,
             self.clearance,
-        ]  # m, from the workspace to the rails and pulleys, along x and y
+        ]
         if bridge_axis is not None:
             out[bridge_axis] = CLEARANCE + HALF_BRIDGE
         self.x0, self.x1 = self.left - out[0], self.right + out[0]

@@ -171,9 +171,8 @@ def _pulley_stiffness(machine: Machine) -> dict[str, float]:
         if i in idlers:
             continue
         turning = matrix[np.ix_([i, *idlers], [i, *idlers])]
-        if np.linalg.matrix_rank(turning) < len(
-            turning
-        ):  # The pulley could turn the idlers without any stretch.
+        # The pulley could turn the idlers without any stretch.
+        if np.linalg.matrix_rank(turning) < len(turning):
             turning = matrix[i : i + 1, i : i + 1]
         stiffness[machine.coordinates[i].name] = 1.0 / float(np.linalg.inv(turning)[0, 0])
     return stiffness

@@ -128,9 +128,8 @@ def _representative_runs(differences: Array) -> list[int]:
         return float(to_fitted), repeated, abs(run - fourth)
 
     while remaining:
-        group = sorted(
-            remaining, key=lambda run: differences[remaining[0], run]
-        )  # stable: equals in order of names
+        # stable: equals in order of names
+        group = sorted(remaining, key=lambda run: differences[remaining[0], run])
         if len(group) >= 2 * _GROUP_SIZE:
             group = group[:_GROUP_SIZE]
         held_out.append(min(group, key=unsuitability))

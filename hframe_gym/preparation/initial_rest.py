@@ -185,9 +185,8 @@ def measurement_noise(values: Array, run_values: Array, sensor: Sensor) -> float
 
 def _block_medians(outputs: Array, size: int) -> Array:
     """Return the medians of blocks of rows, shape (blocks, sensors), NaN where nothing was measured."""
-    blocks = np.sort(
-        outputs[: len(outputs) // size * size].reshape(-1, size, outputs.shape[1]), axis=1
-    )  # NaN last
+    # NaN last.
+    blocks = np.sort(outputs[: len(outputs) // size * size].reshape(-1, size, outputs.shape[1]), axis=1)
     count = np.count_nonzero(~np.isnan(blocks), axis=1, keepdims=True)
     lower = np.take_along_axis(blocks, np.maximum(count - 1, 0) // 2, axis=1)
     upper = np.take_along_axis(blocks, np.minimum(count // 2, size - 1), axis=1)
@@ -213,9 +212,8 @@ def _departure(
     variation = peak_to_peak(reference)
     quiet = variation <= tolerance
     center = np.fmin.reduce(reference) / 2 + np.fmax.reduce(reference) / 2
-    departed = np.abs(medians - center) > np.maximum(
-        tolerance, _RANGE_TOLERANCE * variation
-    )  # NaN: not departed
+    # NaN: not departed.
+    departed = np.abs(medians - center) > np.maximum(tolerance, _RANGE_TOLERANCE * variation)
     departing = departed.any(axis=0) & quiet
     departed |= np.fmax.accumulate(medians) - np.fmin.accumulate(medians) > limit
     first = int(np.argmax(departed[:, departing].any(axis=1))) if departing.any() and quiet.all() else 0

@@ -133,9 +133,8 @@ def model_initial_states(machine: Machine, initial: Sequence[InitialState]) -> l
     """
     if not initial:
         return []
-    added = len(machine.coordinates) - len(
-        initial[0].position
-    )  # coordinates of structural effects, at rest at 0
+    # Coordinates of structural effects, at rest at 0.
+    added = len(machine.coordinates) - len(initial[0].position)
     if machine.belts:
         measured = np.array([_position_from_measurements(machine, state) for state in initial])
         positions = static_equilibrium(machine, measured)
@@ -171,9 +170,8 @@ def _set_encoder_angles(machine: Machine, initial: InitialState, measured: Array
     for i, angle in _encoder_angles(machine, initial).items():
         if initial.zeros_refined or machine.coordinate_names[i] not in eccentric:
             positions[i] = angle
-    for (
-        contact
-    ) in machine.contacts:  # friction holds one side; belts pull the other as far as the gap permits
+    # Friction holds one side; belts pull the other as far as the gap permits.
+    for contact in machine.contacts:
         near, far = (machine.coordinate_names.index(name) for name in (contact.near, contact.far))
         stretch = positions[near] - positions[far]
         positions[far] = positions[near] - np.clip(stretch, -contact.half_gap, contact.half_gap)

@@ -201,9 +201,8 @@ def estimate_initial_state(
     lasers_measured = _rank(seen[fixed & measured]) == _rank(seen) or not fixed.any()
     position_measured = lasers_measured or _rank(seen[(fixed | known) & measured]) == _rank(seen)
 
-    zeroed = measurement - np.where(
-        known, zeros.values, _zeros_by_command(recording, machine, rows)
-    )  # (sensors,)
+    # (sensors,)
+    zeroed = measurement - np.where(known, zeros.values, _zeros_by_command(recording, machine, rows))
     warnings: tuple[str, ...] = ()
     if not position_measured:
         later = _later_measurements(recording, measurement, machine, rigid)
@@ -398,9 +397,8 @@ def initial_velocity(
     possible = costs <= costs[best] / _CERTAIN_COST_RATIO  # all others are excluded
     if best == 0 and not possible[1:].any():
         return at_rest
-    travel = np.linalg.norm(
-        machine.travel_per_unit[:, None] * rigid, axis=0
-    )  # m per unit of each rigid motion
+    # m per unit of each rigid motion
+    travel = np.linalg.norm(machine.travel_per_unit[:, None] * rigid, axis=0)
     distance = np.linalg.norm((velocities[possible] - velocities[best]) * travel, axis=1).max()
     error = max(_MIN_ERROR * float(np.linalg.norm(velocities[best] * travel)), float(distance))  # m/s
     covariance = significant[max(best - 1, 0)][1] + np.diag((error / travel) ** 2)

@@ -185,9 +185,8 @@ def clock_jitter(times: Sequence[Array], channel: Sequence[Array], noise: float)
         speed = smooth_speed(time_s[measured], values[measured])
         regular = np.linspace(time_s[measured][0], time_s[measured][-1], len(speed))
         at_regular_times = values[measured] + speed * (regular - time_s[measured])
-        squares.append(
-            np.diff(at_regular_times, n=5) ** 2 / _FIFTH_DIFFERENCE_VARIANCE
-        )  # at the middle of six samples
+        # at the middle of six samples
+        squares.append(np.diff(at_regular_times, n=5) ** 2 / _FIFTH_DIFFERENCE_VARIANCE)
         speeds.append(np.abs(speed[2:-3]))
         travels.append(speeds[-1] * np.median(np.diff(time_s[measured])))  # per row
     if not squares:
@@ -342,9 +341,8 @@ def blank_saturated(
     for channel, (low, high) in ranges.items():
         j = machine.output_channels.index(channel)
         band = criteria.saturation_band * noise[j]
-        inside = np.minimum(
-            high - outputs[:, j], outputs[:, j] - low
-        )  # distance from the nearer end, m; NaN: missing
+        # Distance from the nearer end, m; NaN: missing.
+        inside = np.minimum(high - outputs[:, j], outputs[:, j] - low)
         saturated = inside < band / 2
         beside = np.append(saturated[1:], False) | np.insert(saturated[:-1], 0, False)
         outputs[saturated | (beside & (inside < band)), j] = np.nan
@@ -369,7 +367,6 @@ def range_effects(
         for e in selected:
             if e.site == channel and (limits := e.measuring_range):
                 low, high = max(low, limits[0]), min(high, limits[1])
-        effects.append(
-            EFFECTS["sensor_range"].at(channel, low=low, high=max(low, high))
-        )  # ranges may be disjoint
+        # Ranges may be disjoint.
+        effects.append(EFFECTS["sensor_range"].at(channel, low=low, high=max(low, high)))
     return tuple(effects)

@@ -380,9 +380,8 @@ def _departures(time_s: Array, values: Array, length: int) -> Array:
         Smallest distance of the segment's samples from three straight lines: through the two samples before it, through
         the two samples after it, and from the last sample before it to the first one after it.
     """
-    t = sliding_window_view(
-        time_s, length + 4
-    ).T  # (length + 4, segments): two before, the segment, two after
+    # (length + 4, segments): two before, the segment, two after
+    t = sliding_window_view(time_s, length + 4).T
     y = sliding_window_view(values, length + 4).T
     slope_before = (y[1] - y[0]) / (t[1] - t[0])
     slope_after = (y[-1] - y[-2]) / (t[-1] - t[-2])

@@ -218,9 +218,8 @@ def split_row(line: str, separator: str) -> list[str]:
     """
     if separator == _WHITESPACE:
         return line.split()
-    if (
-        '"' not in line and line.strip()
-    ):  # nearly all lines; the reader below returns the same, but takes longer
+    # Nearly all lines; the reader below returns the same, but takes longer.
+    if '"' not in line and line.strip():
         return [cell.strip() for cell in line.split(separator)]
     try:
         cells = next(csv.reader([line], delimiter=separator), [])

@@ -42,9 +42,8 @@ def test_derivatives_agree_with_the_linear_model_of_the_motion():
     motions = period.simulate(state, volts, volts, parameters)
     outputs = period.outputs(motions)
     rows = [period.gradients(motions, np.tile(row, (16, 1))) for row in np.eye(outputs.shape[1])]
-    derivatives = np.stack([np.hstack(row[:2]) for row in rows], axis=2).transpose(
-        1, 0, 2
-    )  # (entries, B, outputs)
+    # (entries, B, outputs)
+    derivatives = np.stack([np.hstack(row[:2]) for row in rows], axis=2).transpose(1, 0, 2)
     A, B, _ = MODEL.discretize(MODEL.tool_position(state).mean(axis=0), PERIOD)
     expected = np.hstack([A, B]).T  # (entries of state and voltages, entries of the next state)
     scale = np.repeat([1e-3, 0.05], 4) / np.repeat([1e-3, 0.05, 1.0], [4, 4, 2])[:, None]

@@ -77,9 +77,8 @@ class _PartsOfPage(HTMLParser):
 
     def handle_data(self, data: str) -> None:
         if self._in_script and MARK in data and not (self._is_data and "<" not in data):
-            self.hostile.append(
-                data
-            )  # no element can begin in a block of data without "<", which executes nothing
+            # no element can begin in a block of data without "<", which executes nothing
+            self.hostile.append(data)
 
 
 def hostile_parts(page: Path) -> list[str]:

@@ -40,9 +40,8 @@ def test_the_gains_are_the_derivatives_of_the_voltages_by_the_state():
     generator = np.random.default_rng(0)
     parameters, goal = different_machines(), generator.uniform(-0.05, 0.05, (COUNT, 2))
     state = MODEL.goal_state(goal)
-    state[:, 4:] = (
-        generator.uniform(0.4, 0.6, (COUNT, 2)) * [1.0, 0.5] @ MODEL.rigid.T
-    )  # friction does not reverse
+    # Friction does not reverse.
+    state[:, 4:] = generator.uniform(0.4, 0.6, (COUNT, 2)) * [1.0, 0.5] @ MODEL.rigid.T
     transfers, last = SimulatedTransfers(MODEL, PERIOD, [8, 20]), np.zeros((COUNT, 2))
     planned = transfers.plan(state, goal, parameters, last)
     change = generator.normal(size=(COUNT, 8)) * np.repeat([1e-5, 1e-4], 4)

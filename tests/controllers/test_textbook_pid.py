@@ -38,9 +38,8 @@ def test_reset_clears_the_integrators_of_the_mask(hframe: Machine) -> None:
 
 
 def test_an_unstable_loop_is_told() -> None:
-    literal = BUILTIN_MACHINES[
-        "hframe-literal"
-    ]()  # without gear its motors are light, and the belt modes dominate
+    # without gear its motors are light, and the belt modes dominate
+    literal = BUILTIN_MACHINES["hframe-literal"]()
     assert "unstable on machine 'hframe-literal' at a control period of 0.01 s" in str(
         TextbookPID(literal).concern()
     )

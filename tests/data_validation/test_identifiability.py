@@ -39,9 +39,8 @@ def test_bounds_of_mass_and_friction_equal_the_closed_form(cart: Machine) -> Non
     slopes = np.stack([x(m * (1 + h), b) - x(m * (1 - h), b), x(m, b * (1 + h)) - x(m, b * (1 - h))]) / (
         2 * h * noise
     )
-    slopes -= slopes.mean(
-        axis=1, keepdims=True
-    )  # the sensor is not quantized, so the zero of the run is fitted
+    # The sensor is not quantized, so the zero of the run is fitted.
+    slopes -= slopes.mean(axis=1, keepdims=True)
     expected = np.sqrt(np.diag(np.linalg.inv(slopes @ slopes.T)))
     data = prepare([Recording("r", time, inputs, x(m, b)[:, None])], cart)
     np.testing.assert_allclose(data.noise, noise)

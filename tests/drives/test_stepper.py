@@ -100,9 +100,8 @@ def test_identification_finds_inertia_and_friction() -> None:
 
 def test_a_machine_file_states_the_holding_torque(tmp_path) -> None:
     content = machine_to_dict(stepper())["drives"][0]
-    assert content["parameters"] == {
-        "holding_torque": {"value": HOLDING, "unit": "Nm"}
-    }  # 50 periods are the default
+    # 50 periods are the default
+    assert content["parameters"] == {"holding_torque": {"value": HOLDING, "unit": "Nm"}}
     assert content["rated_position"]["unit"] == "rad"
     save_machine(stepper(), tmp_path / "stepper.json")
     assert load_machine(tmp_path / "stepper.json").drives == stepper().drives

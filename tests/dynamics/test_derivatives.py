@@ -43,9 +43,8 @@ class Case:
         ahead = 1e-3 * np.linspace(1.0, 0.4, len(linear))  # not all equal: then a pulley would be at rest
         moved = np.array([rest_state(machine, tool + ahead)[:count] for tool in tools]) - start[:, :count]
         start[:, count : 2 * count] = moved * generator.uniform(200.0, 400.0, (batch, 1))  # 0.2 to 0.4 m/s
-        start[:, 2 * count :] = generator.uniform(
-            1e-6, 2e-6, start[:, 2 * count :].shape
-        )  # |z| has a corner at 0
+        # |z| has a corner at 0
+        start[:, 2 * count :] = generator.uniform(1e-6, 2e-6, start[:, 2 * count :].shape)
         self.arrays = {
             "start": start,
             "inputs": generator.uniform(0.0, 4.0, (batch, periods, len(machine.drives))),
@@ -192,9 +191,8 @@ def test_a_voltage_that_friction_holds_has_no_influence():
 def test_sliding_derivatives_are_those_of_a_motion_with_constant_friction():
     motions, held = axis_at_rest(1e3, "sliding", 1.0)
     assert not motions.states.any()
-    _, moving = axis_at_rest(
-        0.0, "exact", 1.0
-    )  # the axis is linear: without friction its derivatives are constant
+    # The axis is linear: without friction its derivatives are constant.
+    _, moving = axis_at_rest(0.0, "exact", 1.0)
     np.testing.assert_allclose(held.inputs, moving.inputs, rtol=1e-12)
     np.testing.assert_allclose(held.start, moving.start, rtol=1e-12)
 

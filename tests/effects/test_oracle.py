@@ -16,11 +16,12 @@ pytestmark = pytest.mark.oracle
 
 STEP = 0.125e-3  # s
 TOLERANCE = 1.5e-6  # m of travel
+# m; these switch a force within a step
 SWITCHING_TOLERANCE = {
     "input_delay": 8e-6,
     "current_limit": 3e-6,
     "gear_backlash": 3e-6,
-}  # m; these switch a force within a step
+}
 
 
 def difference(machine: Machine, time_s: np.ndarray, inputs: np.ndarray, expected: np.ndarray) -> float:

@@ -213,9 +213,8 @@ def test_an_eccentric_pulley_at_rest_has_drawn_as_much_belt_as_a_round_one() -> 
     for q in np.linspace(-3.0, 3.0, 13):
         angle = q - float(case.effect("rest_angle_offset", q=q, per_radius=1.0 / radius))
         assert radius * angle + e * np.sin(angle + p) == pytest.approx(radius * q, abs=1.01 * e**2 / radius)
-    turned = case.effect(
-        "lever_arm", q=1.0, z=1.0 + p, per_radius=1.0 / radius
-    )  # started where the lag is zero
+    # Started where the lag is zero.
+    turned = case.effect("lever_arm", q=1.0, z=1.0 + p, per_radius=1.0 / radius)
     assert turned == pytest.approx(e * np.cos(1.0 + p))
     # Started at q = 0 instead, where the pulley lags: the arm is that of the lagging eccentricity.
     lag = e * np.sin(p) / radius

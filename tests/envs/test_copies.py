@@ -46,9 +46,8 @@ def assert_equal(first, second):
     else:
         first, second = np.asarray(first), np.asarray(second)
         assert first.dtype == second.dtype
-        if (
-            first.shape != second.shape or first.tobytes() != second.tobytes()
-        ):  # takes a tenth of the next line's time
+        # Takes a tenth of the next line's time.
+        if first.shape != second.shape or first.tobytes() != second.tobytes():
             np.testing.assert_array_equal(first, second)
 
 

@@ -81,9 +81,8 @@ def test_factor_of_a_singular_covariance_with_very_different_units():
     covariance = np.outer(change, change) + np.diag(std**2)
     factor = pivoted_cholesky(covariance, np.array([1e4, 1e-6, 1.0]))
     np.testing.assert_allclose(factor @ factor.T, covariance, rtol=1e-9)
-    assert factor[1] @ factor[1] - factor[1, 0] ** 2 == pytest.approx(
-        2e-24, rel=1e-3
-    )  # beside the common change
+    # beside the common change
+    assert factor[1] @ factor[1] - factor[1, 0] ** 2 == pytest.approx(2e-24, rel=1e-3)
 
 
 def test_sums_that_are_known_better_than_their_terms_are_kept_at_the_limits():

@@ -134,9 +134,8 @@ def test_ppo_learns_with_its_default_hyperparameters():
     model = PPO("MultiInputPolicy", gym.make("HFrame-v0", normalize=True), seed=0, device="cpu")
     assert final_distance(model) > 0.1
     model.learn(12_000)
-    assert (
-        final_distance(model) < 0.04
-    )  # 0.013 m here; with 120 000 steps below 1 mm (benchmarks/plain_ppo.py)
+    # 0.013 m here; with 120 000 steps below 1 mm (benchmarks/plain_ppo.py)
+    assert final_distance(model) < 0.04
 
 
 def test_infos_hold_what_the_progress_reward_needs():

@@ -60,9 +60,8 @@ def test_the_error_is_the_logarithm_of_the_distance_along_each_axis(options):
             error *= [0.28, 0.19]
         largest = np.array([0.66, 0.48])  # m, between the bounds of positions
         expected = np.sign(error) * np.log1p(np.abs(error) / 1e-4) / np.log1p(largest / 1e-4)
-        np.testing.assert_allclose(
-            observation["error"], expected, atol=3e-4
-        )  # float32 rounds positions to 30 nm
+        # float32 rounds positions to 30 nm
+        np.testing.assert_allclose(observation["error"], expected, atol=3e-4)
     assert "error" not in HFrameEnv(**options).observation_space.spaces
 
 

@@ -81,9 +81,8 @@ def test_an_open_path_ends_at_rest(length):
     way = distances(t, length)
     assert np.all(np.diff(way) >= 0.0)
     assert way[-1] == length
-    assert (
-        np.abs(np.diff(way, 2)).max() < 2.3e-6 * 1.1
-    )  # no jump of the speed anywhere: 1.5 v / lead_s at most
+    # no jump of the speed anywhere: 1.5 v / lead_s at most
+    assert np.abs(np.diff(way, 2)).max() < 2.3e-6 * 1.1
 
 
 @pytest.mark.parametrize("path", SHAPE_NAMES)

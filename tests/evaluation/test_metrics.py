@@ -74,9 +74,8 @@ def test_reach_scores_by_hand() -> None:
     card = score_episodes(episodes())
     assert card["success"] == {"1mm": 1.0, "0.2mm": 0.5, "0.05mm": 0.5}
     assert card["settling_s"]["1mm"]["mean"] == pytest.approx(0.1)
-    assert card["settling_s"]["0.2mm"]["mean"] == pytest.approx(
-        (0.2 + 0.3) / 2
-    )  # the failed one counts in full
+    # The failed one counts in full.
+    assert card["settling_s"]["0.2mm"]["mean"] == pytest.approx((0.2 + 0.3) / 2)
     assert card["over_bound"] is None
     assert card["overshoot_mm"]["mean"] == pytest.approx(0.015)
     assert card["final_error_mm"]["mean"] == pytest.approx(0.25)
@@ -92,9 +91,8 @@ def test_over_bound_has_the_mean_of_ratios_and_the_ratio_of_means() -> None:
     assert over["mean"] == pytest.approx((2.0 + 1.0) / 2)
     assert over["ratio_of_means"]["mean"] == pytest.approx((0.2 + 0.3) / (0.1 + 0.3))
     low, high = over["ratio_of_means"]["ci95"]
-    assert (low, high) == pytest.approx(
-        (1.0, 2.0)
-    )  # both resampled episodes are the second, or both the first
+    # Both resampled episodes are the second, or both the first.
+    assert (low, high) == pytest.approx((1.0, 2.0))
     assert over["episodes"] == 2
 
 

@@ -235,9 +235,8 @@ ERRORS: list[float | None] = [0.01, 0.02, 3.0, 0.01]  # mm, of draws of which th
 def content(short: Protocol, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     """Return the content of a valid result file of the short protocol."""
     for module in ("hframe_gym.evaluation.protocol_results", "tools.tables.leaderboard"):
-        monkeypatch.setattr(
-            f"{module}.protocol_bounds", lambda name: {}
-        )  # the stored ones are of other draws
+        # The stored ones are of other draws.
+        monkeypatch.setattr(f"{module}.protocol_bounds", lambda name: {})
     times: list[float | None] = [0.1, 0.2, None, 0.3]
     values: dict[str, list[float | None]] = {
         f"settling_s.{band}": times for band in ("1mm", "0.2mm", "0.05mm")
@@ -250,9 +249,8 @@ def content(short: Protocol, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
 def test_scores_follow_from_the_draws(content: dict[str, Any], tmp_path: Path) -> None:
     score = content["scores"]["reach"]["settling_s.0.2mm"]
     assert score["success"] == 0.75
-    assert score["mean"] == pytest.approx(
-        (0.1 + 0.2 + 0.3 + 0.3) / 4
-    )  # a failure counts the length of the episode
+    # a failure counts the length of the episode
+    assert score["mean"] == pytest.approx((0.1 + 0.2 + 0.3 + 0.3) / 4)
     result = read_result(write_result(tmp_path, content))
     assert result.entry.name == "mine"
     assert fill_unsettled(result.draws["reach"]["settling_s.0.2mm"], 0.3).tolist() == [0.1, 0.2, 0.3, 0.3]

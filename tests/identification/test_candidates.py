@@ -71,9 +71,8 @@ def test_the_recorded_motion_limits_what_a_fit_may_reach(hframe: Machine) -> Non
     cogging = effect_parameters(EFFECTS["cogging"].at("motor1", A=0.1, n=6.0, p=0.0), hframe, scales)
     assert {f.name: f.lower for f in cogging}["cogging@motor1.n"] == pytest.approx(2 * np.pi / 8.0)
     beyond = effect_parameters(EFFECTS["dahl_hysteresis"].at("x", F=1.0, L=0.08), hframe, scales)
-    assert {f.name: f.upper for f in beyond}["dahl_hysteresis@x.L"] == pytest.approx(
-        0.08
-    )  # a declared effect stays
+    # a declared effect stays
+    assert {f.name: f.upper for f in beyond}["dahl_hysteresis@x.L"] == pytest.approx(0.08)
 
 
 def test_a_force_has_at_least_one_period(hframe: Machine) -> None:

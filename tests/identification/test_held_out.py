@@ -36,9 +36,8 @@ def voltages(kind: str, seed: int, rate: float = 1000.0, duration: float = 2.0) 
         )
     if kind == "chirp":
         return 5.0 * np.sin(2 * np.pi * (time_s + 40.0 / 2 / duration * time_s**2) + phases[0])
-    return (
-        5.0 * np.repeat([-1.0, 1.0] * 12, round(0.2 * rate))[: len(time_s)] * rng.choice([-1.0, 1.0])
-    )  # steps
+    # Steps.
+    return 5.0 * np.repeat([-1.0, 1.0] * 12, round(0.2 * rate))[: len(time_s)] * rng.choice([-1.0, 1.0])
 
 
 def recorded(kinds: Sequence[str], rate: float = 1000.0) -> list[Recording]:

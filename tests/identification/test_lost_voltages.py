@@ -204,9 +204,8 @@ def test_saturated_measurements_determine_no_voltages() -> None:
     saturated[:, x] = np.minimum(saturated[:, x], np.quantile(saturated[:, x], 0.9))
     gaps = without_rows(dataclasses.replace(complete, outputs=saturated), random_rows(3))
     difference = simulate_recording(HFRAME, gaps).outputs - without_rows(complete, random_rows(3)).outputs
-    assert (
-        np.sqrt(np.mean(difference[:, x] ** 2)) < 2.0 * NOISE
-    )  # 20 if the end of the range counts as a position
+    # 20 if the end of the range counts as a position
+    assert np.sqrt(np.mean(difference[:, x] ** 2)) < 2.0 * NOISE
 
 
 def test_delays_between_two_rows_are_resolved() -> None:

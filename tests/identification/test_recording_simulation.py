@@ -263,9 +263,8 @@ def test_one_path_prepares_recordings_with_the_criteria_of_the_identification(
     assert np.isnan(prepared.data.runs[0].outputs[0, 2]) == bool(prepared.ranges) == blanked
     initial = initial_state_of_recording(hframe, run, criteria)
     np.testing.assert_array_equal(initial.state, simulate_recording(hframe, run, criteria).initial.state)
-    assert (
-        abs(initial.position[0] - (begin - 0.5e-3)) > 50e-6
-    ) == blanked  # a saturated measurement is not believed
+    # a saturated measurement is not believed
+    assert (abs(initial.position[0] - (begin - 0.5e-3)) > 50e-6) == blanked
 
 
 def test_a_sensor_deviates_alone_if_the_others_refute_its_error(hframe: Machine) -> None:
@@ -282,12 +281,13 @@ def test_a_sensor_deviates_alone_if_the_others_refute_its_error(hframe: Machine)
     assert deviating(x_m=(3e-4, 15.0), phi1_rad=(0.01, 50.0)) == ()  # a force
     assert deviating(phi1_rad=(0.05, 250.0)) == ("phi1_rad",)  # an encoder that slips
     assert deviating(x_m=(3e-4, 2.0)) == ()  # noise
+    # Nothing else measures this motion.
     assert (
         ModelEvaluation(
             hframe, PredictionErrors({"x_m": ChannelError(3e-4, 15.0), "y_m": ChannelError(None, None)}, None)
         ).deviating_sensors
         == ()
-    )  # nothing else measures this motion
+    )
 
 
 def test_a_wrong_model_has_no_error_of_the_zero(hframe: Machine) -> None:

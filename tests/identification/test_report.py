@@ -555,10 +555,11 @@ def test_a_machine_that_diverges_has_no_error_but_a_cause(data: Dataset, tmp_pat
 def test_what_is_left_is_stated_also_if_errors_are_those_of_the_force(verdict: str) -> None:
     errors = {"held_out": {"x_m": {"rmse": 1.0, "noise_ratio": 900.0}, "force_error": 0.06}}
     report = {"verdict": verdict, "effects": [{"name": "cogging", "site": "motor"}], "left": 900.0}
+    # in the order of the explained force
     shares = (
         ("velocity of y", "y", 0.26),
         ("velocity of x", "x", 0.31),
-    )  # in the order of the explained force
+    )
     report["residual"] = {
         "depends_on": [dict(zip(("variable", "coordinate", "share"), s, strict=True)) for s in shares]
     }

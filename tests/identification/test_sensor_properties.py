@@ -60,9 +60,8 @@ def test_repeated_measurements_of_a_resting_encoder_count_as_one() -> None:
     moving = QUANTUM * np.concatenate([np.zeros(100), 0.1 * np.arange(100), np.full(100, 9.0)])
     outputs = np.column_stack([np.floor(moving / QUANTUM) * QUANTUM, moving, np.full(300, np.nan)])
     counts = independent_values(time_s, outputs, np.array([QUANTUM, 0.0, QUANTUM]))
-    np.testing.assert_allclose(
-        counts[:110, 0], 1.0 / 110
-    )  # at rest, and the first ten milliseconds of motion
+    # at rest, and the first ten milliseconds of motion
+    np.testing.assert_allclose(counts[:110, 0], 1.0 / 110)
     np.testing.assert_allclose(counts[110:190, 0], 1.0)
     np.testing.assert_allclose(counts[190:, 0], 1.0 / 110)
     np.testing.assert_allclose(counts[:, 1], 1.0)
@@ -105,9 +104,8 @@ def test_noise_without_resting_rows_is_the_declared_one_or_that_of_third_differe
 
 @pytest.mark.parametrize("speed", [0.2, 0.45, 0.7, 3.3])
 def test_the_steps_of_a_coarse_encoder_in_motion_are_no_noise(speed: float) -> None:
-    channel = [
-        np.rint(speed * np.arange(3000) + 10 * np.sin(np.arange(3000) * 1e-3)) * 0.2
-    ]  # speed: steps per row
+    # speed: steps per row
+    channel = [np.rint(speed * np.arange(3000) + 10 * np.sin(np.arange(3000) * 1e-3)) * 0.2]
     assert sensor_noise(channel, [1], 0.2, 0.0) == pytest.approx(0.2 / np.sqrt(12))
     noisy = [channel[0] + np.random.default_rng(3).normal(0.0, 0.5, 3000)]
     assert sensor_noise(noisy, [1], 0.2, 0.0) == pytest.approx(0.5, rel=0.1)

@@ -92,9 +92,8 @@ def test_a_start_behind_another_minimum_of_the_error_is_found(hframe: Machine) -
     state = run.initial_state(hframe)
 
     def errors(states: np.ndarray, rows: int) -> np.ndarray:
-        amounts = np.linalg.lstsq(displacements.T, (states - state).T, rcond=None)[
-            0
-        ]  # (displacements, batch)
+        # (displacements, batch)
+        amounts = np.linalg.lstsq(displacements.T, (states - state).T, rcond=None)[0]
         distance = np.hypot(*(amounts - [[2.0], [0.0]]))
         return np.repeat(
             3.0 * np.minimum(distance, 1.0)[:, None] + 0.1 * amounts[0][:, None] ** 2, rows, axis=1

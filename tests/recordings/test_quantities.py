@@ -303,9 +303,8 @@ def test_a_machine_with_a_current_input_takes_currents(current_axis: Machine, tm
     path = log_of(tmp_path / "voltage" / "log.csv", **{"time_s": TIME, "u__[V]": INPUT, "x_m": POSITION})
     with pytest.raises(InputError, match=r"u \[V\] is a voltage in V, and current_A is a current"):
         run_of(path, current_axis, columns={"current_A": "u"})
-    run = run_of(
-        path, current_axis, columns={"current_A": "u"}, scales={"current_A": 2.0}
-    )  # an amplifier's monitor
+    # An amplifier's monitor.
+    run = run_of(path, current_axis, columns={"current_A": "u"}, scales={"current_A": 2.0})
     np.testing.assert_allclose(run.inputs[:, 0], 2.0 * INPUT, rtol=1e-8, atol=1e-12)
 
 

@@ -165,9 +165,8 @@ def _add_drives(
         ohm = d.ohm * (1.0 + d.heating_ohm * z[heat])
         voltage = voltage * (1.0 - z[sag]) + d.voltage_offset_V - d.emf * z[n + d.coordinate]
         if d.dead_time_V != 0.0:
-            lost = voltage / (
-                1.0 + ohm * d.dead_time_A / d.dead_time_V
-            )  # as long as the current is that small
+            # as long as the current is that small
+            lost = voltage / (1.0 + ohm * d.dead_time_A / d.dead_time_V)
             voltage -= min(max(lost, -d.dead_time_V), d.dead_time_V)
         amps = voltage / ohm
         dz[lag] = 0.0

@@ -146,9 +146,8 @@ class RandomRig:
         """The stage and its sensors with the hidden effects and the residue."""
         rng = np.random.default_rng([self.seed, self.index, 1])
         rig, sensors = random_rig(rng), Sensors()
-        if not any(
-            effect.name == "idler_inertia" for effect in self.hidden_effects
-        ):  # there, one belt runs around all
+        # there, one belt runs around all
+        if not any(effect.name == "idler_inertia" for effect in self.hidden_effects):
             strengths = rng.choice([-1.0, 1.0], 3) * rng.uniform(0.05, 0.2, 3) + 1.0
             rig = dataclasses.replace(rig, belt_EA_N=tuple(float(s) * Rig().belt_EA_N[0] for s in strengths))
         for effect in self.hidden_effects:

@@ -103,7 +103,6 @@ def test_session_is_recorded_once_and_can_be_loaded(tmp_path):
         error = recording.outputs - truth[recording.name]
         assert np.abs(error[:, :2]).max() < 0.6 * ENCODER_STEP_RAD
         assert error[:, 2:].std() == pytest.approx(LASER_NOISE_M, rel=0.05)
-    other = record(
-        dataclasses.replace(case, runs=1), tmp_path
-    )  # another rig of the same name is recorded again
+    # Another rig of the same name is recorded again.
+    other = record(dataclasses.replace(case, runs=1), tmp_path)
     assert len(other.truth()) == 1

@@ -55,9 +55,8 @@ def parabola(time, i: int, delay: float) -> tuple:
     if i == 0:
         return 0, 0.0, 0.0
     t = max(time[0], time[i] - delay)
-    k = max(
-        1, i - 1 - int(min(delay / (time[i] - time[i - 1]), i))
-    )  # at even sampling at most one sample away
+    # at even sampling at most one sample away
+    k = max(1, i - 1 - int(min(delay / (time[i] - time[i - 1]), i)))
     while k > 1 and t < 0.5 * (time[k - 1] + time[k]):
         k -= 1
     while k < i - 1 and t > 0.5 * (time[k] + time[k + 1]):

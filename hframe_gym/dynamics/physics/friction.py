@@ -37,9 +37,8 @@ def decay_integral(z: Any) -> Any:
     p = fma(z, -p, 1.0 / 6.0)
     p = fma(z, -p, 0.5)
     p = fma(z, -p, 1.0)
-    if any_of(
-        z > _SMALL
-    ):  # a strongly damped machine; the branch is skipped if no machine of the register needs it
+    # a strongly damped machine; the branch is skipped if no machine of the register needs it
+    if any_of(z > _SMALL):
         large = where(z > _SMALL, z, 1.0)
         p = where(z > _SMALL, (1.0 - exp(-large)) / large, p)
     return p

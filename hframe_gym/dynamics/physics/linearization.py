@@ -60,15 +60,13 @@ def stiffness_matrix(machine: Machine, position: ArrayLike | None = None) -> Arr
         coordinates, Nm/rad between rotary ones, N/rad (equal to N) between a linear and a rotary one.
     """
     equations, q = _operating_point(machine, position)
-    stepped = q[..., None, :] + 1j * _STEP * np.eye(
-        q.shape[-1]
-    )  # (..., coordinate that is stepped, coordinates)
+    # (..., coordinate that is stepped, coordinates)
+    stepped = q[..., None, :] + 1j * _STEP * np.eye(q.shape[-1])
     point = equations.point(stepped)
     forces = equations.in_units(equations.belt_forces(point, equations.belt_states(point)))
     forces = np.broadcast_to(forces, stepped.shape)  # without belts they are scalars
-    return (
-        -np.swapaxes(forces.imag, -1, -2) / _STEP
-    )  # row: force on a coordinate, column: displaced coordinate
+    # row: force on a coordinate, column: displaced coordinate
+    return -np.swapaxes(forces.imag, -1, -2) / _STEP
 
 
 def linearize(machine: Machine, position: ArrayLike | None = None) -> StateSpace:
@@ -91,14 +89,12 @@ def linearize(machine: Machine, position: ArrayLike | None = None) -> StateSpace
     steps = 1j * _STEP * np.eye(2 * count + drives)
     point = equations.point(q + steps[:, :count], steps[:, count : 2 * count])
     voltages = list(steps[:, 2 * count :].T)
-    accelerations = equations.accelerations(
-        point, voltages, lambda speed: 0.0
-    )  # direction 0: no Coulomb friction
+    # Direction 0: no Coulomb friction.
+    accelerations = equations.accelerations(point, voltages, lambda speed: 0.0)
     per_step = [a * equations.per_radius(i) for i, a in enumerate(accelerations)]  # m/s^2 or rad/s^2
     derivatives = np.array(per_step).imag / _STEP  # (coordinates, 2 * coordinates + drives)
-    rates = np.hstack(
-        [np.zeros((count, count)), np.eye(count)]
-    )  # the derivatives of the positions are the velocities
+    # The derivatives of the positions are the velocities.
+    rates = np.hstack([np.zeros((count, count)), np.eye(count)])
     A = np.vstack([rates, derivatives[:, : 2 * count]])
     B = np.vstack([np.zeros((count, drives)), derivatives[:, 2 * count :]])
     positions, velocities = (q + steps[:, :count]).T, steps[:, count : 2 * count].T
@@ -123,9 +119,8 @@ def mode_frequencies(machine: Machine, position: ArrayLike | None = None) -> Arr
 
     mass_matrix = np.diag([c.mass for c in machine.coordinates])
     squared = eigh(stiffness_matrix(machine, position), mass_matrix, eigvals_only=True)
-    scale = max(
-        squared.max(), 1.0
-    )  # (rad/s)^2; eigenvalues far below it are rounding errors of rigid-body modes
+    # (rad/s)^2; eigenvalues far below it are rounding errors of rigid-body modes
+    scale = max(squared.max(), 1.0)
     return np.sqrt(np.where(squared < _RIGID_EIGENVALUE * scale, 0.0, squared)) / (2 * np.pi)
 
 

@@ -233,9 +233,8 @@ def describe_formula_error(error: TypeError) -> str:
     frames = [
         f for f in traceback.extract_tb(error.__traceback__) if _PACKAGE not in Path(f.filename).parents
     ]
-    in_formula = [
-        f for f in frames if f.filename == frames[0].filename
-    ]  # without functions of NumPy that it calls
+    # without functions of NumPy that it calls
+    in_formula = [f for f in frames if f.filename == frames[0].filename]
     place = f"{Path(in_formula[-1].filename).name}, line {in_formula[-1].lineno}: " if in_formula else ""
     advise = re.search("|".join(_NUMBERS_ONLY), str(error))
     return f"{place}{error}{'; use the functions of hframe_gym.dynamics.elementwise' if advise else ''}"

@@ -214,9 +214,8 @@ class _Search:
         self._all = np.ones(len(curve.knots), bool)
         self._whitening = curve.whitening(self._all)
         self._target = self._whitening @ curve.values
-        self._dictionary: list[
-            tuple[Term, tuple[float, ...], Array]
-        ] = []  # term, shapes, whitened columns (k, c)
+        # term, shapes, whitened columns (k, c)
+        self._dictionary: list[tuple[Term, tuple[float, ...], Array]] = []
         for term in terms:
             for shape in term.grid(low, high):
                 columns = self._columns([term], [shape])

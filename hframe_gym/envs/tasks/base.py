@@ -213,9 +213,8 @@ class ReferenceTrajectories:
         self._elapsed_s = np.zeros(count)  # only for goals that move
         self.moving = task.moving or bool(task.ahead_s) or task.metrics == "track"
         self._plans = np.zeros((count, task.plan_size))
-        self._fixed_goals = np.zeros(
-            (count, axes), np.float32
-        )  # goals at reset; all there is if goals do not move
+        # Goals at reset; all there is if goals do not move.
+        self._fixed_goals = np.zeros((count, axes), np.float32)
         self._ahead_s = np.array(task.ahead_s)
 
     @property

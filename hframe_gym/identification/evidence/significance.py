@@ -248,9 +248,8 @@ def _chance(without: Fit, with_effect: Fit, effect: AppliedEffect, data: Dataset
 def _forces(without: Fit, with_effect: Fit, effect: AppliedEffect, data: Dataset) -> Forces:
     """Return the force of an effect and the force that remains unexplained beside it, N."""
     size, residue = effect_force(with_effect.machine, effect, data), residue_force(with_effect, data)
-    if (
-        effect.definition.structure
-    ):  # no force at the machine's coordinates: what it takes from the unexplained one
+    # no force at the machine's coordinates: what it takes from the unexplained one
+    if effect.definition.structure:
         size = math.sqrt(max(residue_force(without, data) ** 2 - residue**2, 0.0))
     return Forces(size, residue)
 

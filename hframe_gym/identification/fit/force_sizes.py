@@ -121,9 +121,8 @@ def residue_force(fitted: Fit, data: Dataset) -> float:
         sqrt(mean over time of the sum of F^2 over the coordinates), N, with the force F of each coordinate at the belt
         (torque / pulley radius).
     """
-    bandwidth = max(
-        fitted.bandwidth, BANDWIDTHS[-2]
-    )  # the narrowest observer measures it where none is needed
+    # The narrowest observer measures it where none is needed.
+    bandwidth = max(fitted.bandwidth, BANDWIDTHS[-2])
     return _observed_force(fitted.machine, data, bandwidth, lambda run: run.noise)
 
 
@@ -200,9 +199,8 @@ def force_error(machine: Machine, data: Dataset) -> float | None:
         or not sensors
     ):
         return None
-    scales = np.array(
-        [next(iter(machine.sensors[j].row.values())) for j in sensors]
-    )  # measurement / position
+    # Measurement / position.
+    scales = np.array([next(iter(machine.sensors[j].row.values())) for j in sensors])
     noise = data.noise[sensors] / np.abs(scales)
     delays = Equations(machine).measurement_delays()
     sensor_delays = {name: delays[j] for name, j in zip(machine.coordinate_names, sensors, strict=True)}
@@ -215,15 +213,13 @@ def force_error(machine: Machine, data: Dataset) -> float | None:
         complete = np.flatnonzero(np.isfinite(measured).all(axis=1))
         if not len(complete) or complete[-1] + 1 - complete[0] < MIN_ROWS:
             continue
-        rows = slice(
-            complete[0], complete[-1] + 1
-        )  # a run that began in motion lacks the measurements before its rest
+        # a run that began in motion lacks the measurements before its rest
+        rows = slice(complete[0], complete[-1] + 1)
         run = dataclasses.replace(run, time_s=run.time_s[rows], inputs=run.inputs[rows])
         period = float(np.median(np.diff(run.time_s)))
         cutoff = min(0.45 / period, _FORCE_CUTOFF, resolved)  # Hz
-        longest_gap = max(
-            0.505 / cutoff, GAP_PERIODS * period
-        )  # s; 1 % more than 5 ms, because times are rounded
+        # s; 1 % more than 5 ms, because times are rounded
+        longest_gap = max(0.505 / cutoff, GAP_PERIODS * period)
         measured = bridge_blanks(measured[rows], run.time_s, longest_gap)
         known = np.asarray(np.isfinite(measured).all(axis=1))
         measured = bridge_blanks(measured, run.time_s, np.inf)

@@ -190,9 +190,8 @@ def _posterior(
         return np.inf, np.zeros(len(weights)), prior
     count = max(int(np.count_nonzero(residual)), 1)
     squares = float(residual @ residual)
-    variance = max(
-        1.0, squares / count
-    )  # in units of the sensors' noise; what the machine does not explain is noise
+    # in units of the sensors' noise; what the machine does not explain is noise
+    variance = max(1.0, squares / count)
     difference = (run.inputs[unknowns.rows] - unknowns.expected).ravel()  # V
     cost = count * math.log(variance) + squares / variance + float(weights @ difference**2)
     return (
@@ -204,9 +203,8 @@ def _posterior(
 
 def _short_gaps(dropped: NDArray[np.bool_]) -> tuple[Rows, Rows]:
     """Return the dropped rows in gaps of up to 20 rows, and the length of the gap of each, in rows."""
-    longest = min(
-        _LONGEST_GAP, len(dropped) // 8
-    )  # in a short run, few rows show how accurate interpolation is
+    # in a short run, few rows show how accurate interpolation is
+    longest = min(_LONGEST_GAP, len(dropped) // 8)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], dropped, [False]])))
     gaps = [(first, end) for first, end in edges.reshape(-1, 2) if end - first <= longest]
     rows = [np.arange(first, end) for first, end in gaps]

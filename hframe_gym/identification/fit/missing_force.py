@@ -236,18 +236,16 @@ def _observed_forces(machine: Machine, period: float) -> _ObservedForces:
     pulleys = [names.index(name) for name in pulley_names(machine)] if machine.belts and motions else []
     leading = [names.index(name) for name in motions]
     leading += [i for i in range(len(names)) if i not in leading and i not in pulleys]
-    modes = np.vstack(
-        [*motions.values(), *np.eye(len(names))[leading[len(motions) :]]]
-    )  # (motions, coordinates)
+    # (motions, coordinates)
+    modes = np.vstack([*motions.values(), *np.eye(len(names))[leading[len(motions) :]]])
     distribution = np.eye(len(names))[leading]
     if pulleys:
         distribution[:, pulleys] = np.linalg.pinv(modes[:, pulleys].T)
     mass, damping = np.array([(c.mass, c.viscous) for c in machine.coordinates], float).T
     for drive in machine.drives:
         damping[names.index(drive.coordinate)] += drive.gain * drive.emf_constant
-    position_gains, velocity_gains = np.split(
-        observer_gains(machine, period) / period, 2
-    )  # (coordinates, sensors)
+    # (coordinates, sensors)
+    position_gains, velocity_gains = np.split(observer_gains(machine, period) / period, 2)
     measured = machine.sensor_matrix @ modes.T  # (sensors, motions)
     motion_gains = ((modes * mass) @ velocity_gains + (modes * damping) @ position_gains).T
     stiffness = np.sum(motion_gains * measured, axis=0)  # D l1 + M l2

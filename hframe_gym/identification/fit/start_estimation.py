@@ -61,9 +61,8 @@ def most_probable_initial_state(machine: Machine, run: PreparedRecording, data: 
         motion = predict(
             machine, first, SIMULATION, period=data.period, initial_state=states, longest_step=POLISH_STEP
         )
-        return residuals(
-            first, data, motion.readings, fitted=False
-        )  # as `recording_simulation` does for a single run
+        # as `recording_simulation` does for a single run
+        return residuals(first, data, motion.readings, fitted=False)
 
     # Only positions and velocities are passed: the effects' states are estimated anew, starting from 0.
     state = run.initial_state(machine)[: 2 * len(machine.coordinates)]
@@ -271,9 +270,8 @@ def _descend(errors_at: _Errors, amounts: Array) -> _Minimum:
             break
         now, size = error[0], error.shape[1]
         squares = float(now @ now)
-        response = (error[1 : count + 1] - error[count + 1 :]) / (
-            2.0 * _DIFFERENCE
-        )  # (displacements, values)
+        # (displacements, values)
+        response = (error[1 : count + 1] - error[count + 1 :]) / (2.0 * _DIFFERENCE)
         excess = max(1.0, squares / size)  # mean square error in units of the noise
         weight = 1.0 / np.sqrt(excess)
         # Of full rank by the identity, however large the response is; the normal equations would lose it.

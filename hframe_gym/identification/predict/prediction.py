@@ -383,9 +383,8 @@ def residuals(
         zero where a value was not measured.
     """
     scales = np.sqrt(run.weights if fitted else run.weights > 0.0) / run.noise
-    with np.errstate(
-        over="ignore", invalid="ignore"
-    ):  # parameters that make a machine diverge cost infinitely much
+    # Parameters that make a machine diverge cost infinitely much.
+    with np.errstate(over="ignore", invalid="ignore"):
         error = prediction_error(run, data, measurements, fitted=fitted)
         error *= scales
     batch, rows, sensors = error.shape

@@ -55,10 +55,8 @@ _RESTING = 0.01  # of the rms speed of each motion; a machine at rest shows no f
 _RESTING_S = 0.025  # rows that are that close to motion count as motion, so that breakaways do
 _HIGHEST_HZ = 25.0  # frequency of a periodic force in slow motion; a filter removes faster ones
 _SLOW_MOTION = 0.2  # fraction of the rows of a motion that are slower
-_PERIODS, _MOST_PERIODS = (
-    2.0,
-    200.0,
-)  # of a periodic cause in the travel, at least; the most, in multiples of that
+# Periods of a periodic cause in the travel, at least; the most, in multiples of that.
+_PERIODS, _MOST_PERIODS = 2.0, 200.0
 _SCREENED_ROWS = 1500  # among which the period is searched for
 _RESONANCES_HZ = np.geomspace(1.0, 25.0, 30)
 _DAMPING = 0.03  # of a resonance: rubber and steel have 0.01 to 0.1

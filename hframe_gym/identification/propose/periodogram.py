@@ -72,9 +72,8 @@ def periodogram_peaks(motion: Array, sampling_period: float, *, factor: Array | 
     best_of_band = [np.flatnonzero(band == k)[np.argmax(power[band == k])] for k in np.unique(band)]
     peaks: list[int] = []
     for k in (*sorted(best_of_band, key=lambda k: -power[k]), *np.argsort(-power)):
-        if all(
-            abs(points[k] - other) > 0.75 * _POINTS_PER_PERIOD for other in peaks
-        ):  # not the flank of another peak
+        # not the flank of another peak
+        if all(abs(points[k] - other) > 0.75 * _POINTS_PER_PERIOD for other in peaks):
             peaks.append(int(points[k]))
         if len(peaks) == _MAX_RATES:
             break
@@ -146,9 +145,8 @@ def _explained_power(
     # Orthonormal basis of constant, viscous and dry friction, whose best fit is subtracted from the force.
     basis, _ = np.linalg.qr(np.stack([np.ones_like(position), velocity, np.sign(velocity)], axis=1))
     force = force - basis @ (basis.T @ force)
-    cells = 2 ** int(
-        np.ceil(np.log2(_CELLS_PER_POINT * (points[-1] + 1)))
-    )  # over _POINTS_PER_PERIOD times the range
+    # over _POINTS_PER_PERIOD times the range
+    cells = 2 ** int(np.ceil(np.log2(_CELLS_PER_POINT * (points[-1] + 1))))
     cell_position = position * (cells / (_POINTS_PER_PERIOD * span))
     lower_cell = cell_position.astype(np.int64)
 

@@ -102,9 +102,8 @@ def screen(fit: Fit, candidates: Sequence[Candidate], data: Dataset) -> list[Sco
     reduced = equations.eliminate_parameters(prior_precision(fit.free) + ridge)
     scored, first = [], 0
     for candidate in candidates:
-        columns = np.arange(
-            first, first + len(candidate.columns)
-        )  # of this candidate, among all perturbations
+        # of this candidate, among all perturbations
+        columns = np.arange(first, first + len(candidate.columns))
         first += len(columns)
         # Square of each response before and after the free parameters took what they can reproduce of it.
         before = equations.response_information[columns, columns]
@@ -421,9 +420,8 @@ def _structure_gains(
             )
         expected = model.residuals(run, motion.readings)
         changes = np.vstack([model.residuals(run, moved.readings) for moved in predicted]) - expected
-        return np.where(
-            np.isfinite(changes).all(axis=1, keepdims=True), changes, 0.0
-        )  # a variant may diverge
+        # a variant may diverge
+        return np.where(np.isfinite(changes).all(axis=1, keepdims=True), changes, 0.0)
 
     equations = model.linearize(current.theta, responses).normal_equations
     reduced = equations.eliminate_parameters(prior_precision(current.free))

@@ -29,11 +29,12 @@ _HEADINGS = {
     "no_effect": "No missing effect found",
     "unexplained": "Unexplained error",
 }
+# What is left, by the tone of the page.
 _LEFT = {
     "good": "",
     "neutral": ", a small error is left",
     "warning": ", a large error is left",
-}  # by tone of the page
+}
 
 
 def build_report(folder: Path, final_folder: Path | None = None) -> Path:

@@ -278,9 +278,8 @@ class IdentificationResult:
         for error in (
             errors.values() if any(e.held_out.force is None for e in self.evaluations.values()) else ()
         ):
-            error.pop(
-                "force_error", None
-            )  # one machine has none: an effect added a coordinate without a drive
+            # One machine has none: an effect added a coordinate without a drive.
+            error.pop("force_error", None)
         return {
             "schema": SCHEMA,
             "verdict": self.verdict,

@@ -341,8 +341,7 @@ class EffectSearch:
                 self.considered[candidate.effect.label] = ConsideredEffect(
                     candidate.effect, current.machine, reduced.machine, doubt
                 )
-                others = (
-                    s for s in selected if s is not candidate
-                )  # those that passed beside it may fail without it
+                # Those that passed beside it may fail without it.
+                others = (s for s in selected if s is not candidate)
                 return self.prune(reduced, tuple(s.with_values(reduced.machine) for s in others))
         return current, tuple(s.with_values(current.machine, without.get(s.effect.label)) for s in selected)

@@ -318,10 +318,11 @@ class _Search:
             after = polish(
                 continue_fit(found.after, self._data_after, found.after.bandwidth), self._data_after
             )
+        # The search has chosen their observers.
         self._refinements += [
             (self.before, self.before),
             (after, after),
-        ]  # the search has chosen their observers
+        ]
         if decided := self._decided(after, effects, found.considered):
             return decided
         if any(s.effect.definition.family == TABLE_FAMILY for s in effects):
@@ -494,9 +495,8 @@ class _Search:
             lower = is_enough(found_at.error, current.error, required_gain(found_at.error, criteria))
             if lower or current.bandwidth != found_at.bandwidth:
                 current, effects = search.run(current, effects)
-        if effects or self._explains(
-            current
-        ):  # starts that a wrong machine estimates compensate what it lacks
+        # Starts that a wrong machine estimates compensate what it lacks.
+        if effects or self._explains(current):
             self._data_after = search.data
         if not effects and start is None and self._explains(current):
             self.before, self._data = current, search.data

@@ -34,16 +34,14 @@ from ..propose.candidates import Candidate
 from ..propose.screening import screen
 from ..propose.trial_fits import fit_with_candidate
 
-_BINS = (
-    4 * KNOTS
-)  # Bins of the variable over which a force is averaged; finer than the knots, to find the bends.
+# Bins of the variable over which a force is averaged; finer than the knots, to find the bends.
+_BINS = 4 * KNOTS
 _BASE_KNOT_DENSITY = 0.15  # Relative density of knots where the curve is straight; the sharpest bend adds 1.
 _MIN_BIN_SAMPLES = 21  # The mean of a bin with fewer samples is too noisy to be used.
 # Knots at a density of this power of the curvature leave the smallest mean squared error.
 _CURVATURE_POWER = 0.4
-_EVEN_KNOTS = (
-    1.0 / 6.0
-)  # Fraction of the knots that are spread evenly, so that bends between the others are seen.
+# Fraction of the knots that are spread evenly, so that bends between the others are seen.
+_EVEN_KNOTS = 1.0 / 6.0
 _SIGNIFICANT = 2.0  # Standard deviations by which the curvature of a fitted table must exceed zero.
 _KNOT_MOVES = 6  # Largest number of times that the knots of a table move; two or three suffice.
 
@@ -168,9 +166,8 @@ def _explained_fraction(variable: Array, samples: Array, *, symmetric: bool) -> 
         Fraction between 0 and 1, in addition to what the mean over all samples explains, and knots, denser where the
         means bend, shape (knots,).
     """
-    low, high = np.percentile(
-        variable, [0.05, 99.95]
-    )  # outliers do not widen the range; they count in the end bins
+    # Outliers do not widen the range; they count in the end bins.
+    low, high = np.percentile(variable, [0.05, 99.95])
     if symmetric:
         high = max(high, -low)
         low = -high
@@ -322,9 +319,8 @@ def knots_at_bends(knots: Array, values: Array, covariance: Array) -> Array:
     """
     spacing = np.diff(knots)
     slopes = np.diff(np.eye(KNOTS), axis=0) / spacing[:, None]
-    operator = (
-        np.diff(slopes, axis=0) / (0.5 * (spacing[1:] + spacing[:-1]))[:, None]
-    )  # second derivative of values
+    # Second derivative of values.
+    operator = np.diff(slopes, axis=0) / (0.5 * (spacing[1:] + spacing[:-1]))[:, None]
     variance = np.einsum("ij,jk,ik->i", operator, covariance, operator)
     curvature = np.sqrt(np.maximum((operator @ values) ** 2 - _SIGNIFICANT**2 * variance, 0.0))
     if not np.any(curvature):

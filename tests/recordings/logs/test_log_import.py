@@ -477,9 +477,8 @@ def test_the_angle_of_a_motor_on_an_axis_becomes_travel_by_the_gear_ratio(tmp_pa
         for line in lines
     )
     path.write_text(path.read_text().replace("Winkel [deg]", "Winkel [N]"))
-    with pytest.raises(
-        InputError, match=r"--map x_encoder_m=COLUMN --map x_m=COLUMN"
-    ):  # one length for two channels
+    # One length for two channels.
+    with pytest.raises(InputError, match=r"--map x_encoder_m=COLUMN --map x_m=COLUMN"):
         convert(path, machine)
 
 
@@ -870,11 +869,12 @@ def test_a_long_log_is_cut_where_the_machine_rests(
     runs = load_recordings(tmp_path / "runs", axis)
     assert [run.name for run in runs] == ["log_01", "log_02", "log_03"]
     assert any("cut at rests of 0.5 s and more: 3 runs of" in line for line in lines)
+    # The rest of 0.2 s is too short.
     moves = [
         (edges[0], edges[1]),
         (edges[2], edges[5]),
         (edges[6], edges[7]),
-    ]  # the rest of 0.2 s is too short
+    ]
     for run, (start, stop) in zip(runs, moves, strict=True):
         assert start - 0.52 < run.time_s[0] < start - 0.4
         assert stop + 0.45 < run.time_s[-1] < stop + 0.75  # the carriage coasts for 0.2 s

@@ -31,9 +31,8 @@ def test_entries_become_a_recording(tmp_path: Path, axis: Machine) -> None:
     np.testing.assert_allclose(
         run.outputs[measured, 0], 0.01 * np.maximum(np.arange(COUNT) - 10, 0), atol=1e-7
     )
-    np.testing.assert_array_equal(
-        run.inputs[measured, 0], 6.0 * (np.arange(COUNT) >= 10)
-    )  # held between its records
+    # Held between its records.
+    np.testing.assert_array_equal(run.inputs[measured, 0], 6.0 * (np.arange(COUNT) >= 10))
     assert any("/mode (string), /raw (raw)" in line for line in lines)
 
 

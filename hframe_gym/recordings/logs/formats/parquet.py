@@ -56,9 +56,8 @@ class ParquetTable:
         """
         self.path = path
         self._file = open_parquet(path)
-        self._sources: list[
-            tuple[str, int | None]
-        ] = []  # name of the column in the file, and item of its lists
+        # Name of the column in the file, and item of its lists.
+        self._sources: list[tuple[str, int | None]] = []
         columns: list[LogColumn] = []
         rows = self._file.metadata.num_rows
         for field in self._file.schema_arrow:
