@@ -13,9 +13,11 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..machine import Machine
+from .cleaning import GAP_PERIODS
 from .quantization import exact_quantum
 from .recording import Recording
 
@@ -124,21 +126,45 @@ def _motion_around(changes: Array, jump: int, extent: float) -> float:
     return float(np.median(regular)) if moves else 0.0
 
 
-def unwrapped(values: Array, modulus: float) -> Array:
+def unwrapped(values: Array, modulus: float, time_s: Array) -> Array:
     """Unwrap values: add multiples of the modulus, so that no change between successive measurements exceeds half.
+
+    In a gap of the times, a fast motion passes the end several times. There, the change is the one that is closest to
+    the motion at the mean of the speeds before and after the gap.
 
     Args:
         values: Values of one channel, NaN where not measured, shape (n,).
         modulus: Size of the jumps, in the unit of the values.
+        time_s: Sample times, s, shape (n,).
 
     Returns:
         Copy that begins with the same value and has no jumps, NaN where the values are, shape (n,).
     """
     result = values.copy()
     measured = np.isfinite(values)
-    turns = np.rint(np.diff(values[measured]) / modulus)
-    result[measured] -= modulus * np.concatenate([np.zeros(min(1, int(measured.sum()))), np.cumsum(turns)])
+    changes, steps = np.diff(values[measured]), np.diff(time_s[measured])
+    if not len(changes):
+        return result
+    turns = np.rint(changes / modulus)
+    gaps = np.flatnonzero(steps > GAP_PERIODS * np.median(steps))
+    motion = _speed_around(changes - modulus * turns, steps, gaps) * steps[gaps]
+    turns[gaps] = np.rint((changes[gaps] - motion) / modulus)
+    result[measured] -= modulus * np.concatenate([[0.0], np.cumsum(turns)])
     return result
+
+
+def _speed_around(changes: Array, steps: Array, gaps: NDArray[np.int_]) -> Array:
+    """Return the mean of the speeds before and after each gap, shape (gaps,), 0 where nothing else was measured."""
+    regular = np.ones(len(steps), np.bool_)
+    regular[gaps] = False
+    sums = [np.concatenate([[0.0], np.cumsum(np.where(regular, x, 0.0))]) for x in (changes, steps)]
+    first, last = np.maximum(gaps - _NEIGHBORS, 0), np.minimum(gaps + 1 + _NEIGHBORS, len(steps))
+    speeds = []
+    for begin, end in ((first, gaps), (gaps + 1, last)):
+        distance, duration = (total[end] - total[begin] for total in sums)
+        speeds.append(np.divide(distance, duration, out=np.full(len(gaps), np.nan), where=duration > 0.0))
+    known = np.isfinite(speeds)
+    return np.asarray(np.where(known, speeds, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1))
 
 
 def wraps_of(recording: Recording, machine: Machine) -> dict[str, Wrap]:
@@ -186,5 +212,5 @@ def without_wraps(recording: Recording, machine: Machine) -> Recording:
     outputs = recording.outputs.copy()
     for j, channel in enumerate(machine.output_channels):
         if channel in wraps:
-            outputs[:, j] = unwrapped(outputs[:, j], wraps[channel].modulus)
+            outputs[:, j] = unwrapped(outputs[:, j], wraps[channel].modulus, recording.time_s)
     return dataclasses.replace(recording, outputs=outputs)

@@ -37,7 +37,7 @@ def test_an_angle_within_one_turn_is_unwrapped(modulus: float, scale: float, low
     assert wrap is not None
     assert wrap.modulus == modulus
     assert wrap.jumps == np.count_nonzero(np.diff(np.floor((angle - low) / modulus)))
-    np.testing.assert_allclose(unwrapped(wrapped, modulus) - wrapped[0], angle - angle[0], atol=1e-9 * scale)
+    np.testing.assert_allclose(unwrapped(wrapped, modulus, TIME) - wrapped[0], angle - angle[0], atol=1e-9 * scale)
 
 
 @pytest.mark.parametrize("bits", [12, 16])
@@ -49,7 +49,7 @@ def test_a_counter_is_unwrapped(bits: int, signed: bool) -> None:
     wrap = find_wrap(wrapped, known_moduli(1.0, angle=False))
     assert wrap is not None
     assert (wrap.modulus, wrap.name) == (2**bits, f"a counter of {bits} bits")
-    np.testing.assert_array_equal(unwrapped(wrapped, wrap.modulus) - wrapped[0], counts - counts[0])
+    np.testing.assert_array_equal(unwrapped(wrapped, wrap.modulus, TIME) - wrapped[0], counts - counts[0])
 
 
 def test_counts_per_turn_are_told_from_a_power_of_two() -> None:
@@ -65,7 +65,7 @@ def test_noise_at_the_end_of_the_turn_is_unwrapped() -> None:
     wrapped = angle % (2 * math.pi)
     wrap = find_wrap(wrapped, known_moduli(0.0, angle=True))
     assert wrap is not None
-    np.testing.assert_allclose(np.ptp(unwrapped(wrapped, wrap.modulus)), np.ptp(angle), atol=1e-9)
+    np.testing.assert_allclose(np.ptp(unwrapped(wrapped, wrap.modulus, TIME)), np.ptp(angle), atol=1e-9)
 
 
 def test_repeated_and_missing_measurements_are_unwrapped() -> None:
@@ -76,9 +76,9 @@ def test_repeated_and_missing_measurements_are_unwrapped() -> None:
     assert wrap is not None
     measured = np.isfinite(wrapped)
     np.testing.assert_allclose(
-        unwrapped(wrapped, wrap.modulus)[measured] - wrapped[0], held[measured] - held[0], atol=1e-9
+        unwrapped(wrapped, wrap.modulus, TIME)[measured] - wrapped[0], held[measured] - held[0], atol=1e-9
     )
-    assert np.isnan(unwrapped(wrapped, wrap.modulus)[~measured]).all()
+    assert np.isnan(unwrapped(wrapped, wrap.modulus, TIME)[~measured]).all()
 
 
 @pytest.mark.parametrize(
@@ -130,10 +130,17 @@ def test_a_rounded_quantum_is_determined_exactly() -> None:
 def test_too_short_runs_do_not_wrap() -> None:
     empty = Recording("a", TIME[:3], np.zeros((3, 1)), np.array([[0.1], [6.2], [0.1]]))
     assert find_wrap(empty.outputs[:, 0], known_moduli(0.0, angle=True)) is None
-    assert np.array_equal(unwrapped(np.full(3, np.nan), 1.0), np.full(3, np.nan), equal_nan=True)
+    assert np.array_equal(unwrapped(np.full(3, np.nan), 1.0, np.arange(3.0)), np.full(3, np.nan), equal_nan=True)
 
 
 def test_a_wrap_is_described_in_one_clause() -> None:
     wrap = find_wrap((40.0 * np.sin(TIME)) % 360.0, {360.0: "one turn in degrees"})
     assert wrap is not None
     assert wrap.describe("rad") == "wraps once at one turn in degrees (360 rad) and is unwrapped"
+
+
+def test_turns_during_a_gap_follow_from_the_speeds_around_it() -> None:
+    kept = (TIME < 1.0) | (TIME > 2.0)
+    angle = 30.0 * TIME + 2.0 * TIME**2
+    wrapped = angle % (2 * math.pi)
+    np.testing.assert_allclose(unwrapped(wrapped[kept], 2 * math.pi, TIME[kept]), angle[kept], atol=1e-9)

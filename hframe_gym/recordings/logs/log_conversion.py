@@ -163,19 +163,19 @@ class LogConverter:
         channels = {}
         for source in own:
             assert source.column is not None
-            values = by_header[source.column.header]
+            values = by_header[source.column.header][rows]
             if source.channel in self.machine.output_channels and not source.integrate:
-                values, remark = self._without_wrap(source.channel, values)
+                values, remark = self._without_wrap(source.channel, values, time_s)
                 remarks += [remark] * bool(remark)
             if source.column.unit == "%" and not source.set_by_user and _is_fraction(values):
                 remarks.append(
                     f"{source.channel}: never exceeds 1 %; if 1 is full, add --unit {source.channel}=pu"
                 )
-            values = source.conversion.apply(values)[rows]
+            values = source.conversion.apply(values)
             channels[source.channel] = _integrate(time_s, values) if source.integrate else values
         return time_s, channels
 
-    def _without_wrap(self, channel: str, values: Array) -> tuple[Array, str]:
+    def _without_wrap(self, channel: str, values: Array, time_s: Array) -> tuple[Array, str]:
         """Unwrap the values of an output, in the unit of the log, and say so; other values are returned as given."""
         # Encoders of motors may measure the travel of a carriage, so that turns may wrap in a channel in m as well.
         sensor = self.machine.sensor(channel)
@@ -191,7 +191,7 @@ class LogConverter:
             return values, ""
         jumps = f"{wrap.jumps} jump{'s' if wrap.jumps > 1 else ''}"
         return unwrapped(
-            values, wrap.modulus
+            values, wrap.modulus, time_s
         ), f"{channel}: starts anew after {wrap.name}, made continuous ({jumps})"
 
     def _seconds(self, log: Log, source: ChannelSource, by_header: Values, remarks: list[str]) -> Array:
