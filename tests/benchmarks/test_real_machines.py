@@ -6,24 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy import signal
 
 from benchmarks.public_axes import SETS
-from benchmarks.real_machines import ced, printers, xl330
+from benchmarks.real_machines import printers, xl330
 from benchmarks.real_machines.study import MACHINES
 from hframe_gym.recordings import load_machine, load_recordings
-
-
-def test_sign_of_a_counted_speed_is_restored() -> None:
-    """The absolute speed of a model with other gain and damping than the published one, under PRBS."""
-    rng = np.random.default_rng(3)
-    drive = np.repeat(rng.choice([-1.0, 1.0], 50), 10)
-    time = np.arange(len(drive)) * 0.02
-    _, speed, _ = signal.lsim(signal.lti([4000.0], [1.0, 22.0, 520.0, 2700.0]), drive, time, interp=False)
-    restored = ced.with_sign(np.abs(speed), drive, 0.02)
-    np.testing.assert_array_equal(np.abs(restored), np.abs(speed))
-    moving = np.abs(speed) > 0.25 * np.abs(speed).max()
-    assert np.mean(np.sign(restored[moving]) == np.sign(speed[moving])) > 0.97
 
 
 def test_servo_log_is_converted_to_motor_voltage(tmp_path: Path) -> None:

@@ -174,6 +174,22 @@ def test_a_mass_at_the_limit_of_the_fit_is_reported(axis: Machine) -> None:
     assert parameters_at_limit(axis.replace({"x.mass": 3.2 * axis.parameters["x.mass"]}), axis) == {}
 
 
+def test_damping_far_from_the_declared_one_and_undeclared_friction_are_reported_once(axis: Machine) -> None:
+    """Viscous friction and back-EMF act alike; a plain fit may give all of it to one of them."""
+    x, (drive,) = axis.coordinates[0], axis.drives
+    total = x.viscous + drive.back_emf
+    moved = {"x.viscous": 1e-6 * x.viscous, "motor.Ke": drive.Ke * total / drive.back_emf}
+    assert parameters_at_limit(axis.replace(moved), axis) == {}
+    moved["motor.Ke"] *= 3.0
+    (text,) = parameters_at_limit(axis.replace(moved), axis).values()
+    assert text.startswith(
+        "the damping of x (viscous friction and back-EMF together) is 3 times its declared value"
+    )
+    smooth = axis.replace({"x.coulomb": 0.0})
+    (text,) = parameters_at_limit(smooth.replace({"x.coulomb": 3.0}), smooth).values()
+    assert text == "x.coulomb is 3 N, as the motion determines it, and the machine file declares none"
+
+
 @pytest.mark.parametrize(("name", "factor"), [("motor.Ke", np.exp(4 * 0.2)), ("x.viscous", np.exp(-4 * 0.7))])
 def test_every_parameter_at_the_limit_of_the_fit_is_reported(axis: Machine, name: str, factor: float) -> None:
     """Only masses, belt stiffnesses and torque constants were named, not a back-EMF that is wrong by a factor."""

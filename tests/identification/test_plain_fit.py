@@ -87,6 +87,19 @@ def test_a_constant_force_is_a_term_of_the_plain_fit() -> None:
     assert plain.machine.parameters["constant_force@x.size"] == pytest.approx(1.5, rel=0.05)
 
 
+def test_a_speed_without_sign_is_fitted_from_many_points() -> None:
+    """There is no balance of forces without a direction; dry friction is not declared."""
+    counter = (Sensor("speed_m_s", {"x": 1.0}, NOISE, 0.0, "unsigned-speed"),)
+    true = axis(TRUE).replace(sensors=counter)
+    declared = axis({"x.mass": 0.6, "x.viscous": 40.0, "x.coulomb": 0.0}).replace(sensors=counter)
+    data = prepare(measure(true, runs=2, seconds=1.0), declared)
+    plain = plain_fit(declared, data)
+    assert plain is not None
+    assert plain.start.parameters["x.coulomb"] == pytest.approx(TRUE["x.coulomb"], rel=0.05)
+    assert plain.start.parameters["x.mass"] == pytest.approx(TRUE["x.mass"], rel=0.05)
+    assert better_start(declared, data, plain) is plain.start
+
+
 def test_runs_without_motion_have_no_plain_fit() -> None:
     machine = axis(TRUE)
     time_s = np.arange(0.0, 1.0, 2e-3)

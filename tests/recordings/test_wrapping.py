@@ -37,7 +37,9 @@ def test_an_angle_within_one_turn_is_unwrapped(modulus: float, scale: float, low
     assert wrap is not None
     assert wrap.modulus == modulus
     assert wrap.jumps == np.count_nonzero(np.diff(np.floor((angle - low) / modulus)))
-    np.testing.assert_allclose(unwrapped(wrapped, modulus, TIME) - wrapped[0], angle - angle[0], atol=1e-9 * scale)
+    np.testing.assert_allclose(
+        unwrapped(wrapped, modulus, TIME) - wrapped[0], angle - angle[0], atol=1e-9 * scale
+    )
 
 
 @pytest.mark.parametrize("bits", [12, 16])
@@ -130,7 +132,9 @@ def test_a_rounded_quantum_is_determined_exactly() -> None:
 def test_too_short_runs_do_not_wrap() -> None:
     empty = Recording("a", TIME[:3], np.zeros((3, 1)), np.array([[0.1], [6.2], [0.1]]))
     assert find_wrap(empty.outputs[:, 0], known_moduli(0.0, angle=True)) is None
-    assert np.array_equal(unwrapped(np.full(3, np.nan), 1.0, np.arange(3.0)), np.full(3, np.nan), equal_nan=True)
+    assert np.array_equal(
+        unwrapped(np.full(3, np.nan), 1.0, np.arange(3.0)), np.full(3, np.nan), equal_nan=True
+    )
 
 
 def test_a_wrap_is_described_in_one_clause() -> None:

@@ -19,6 +19,10 @@ _HIGH_CORRELATION = 0.95
 # A standard deviation beyond this fraction of the prior's: the data hardly added to the declared value.
 _PRIOR_DOMINATES = 0.6
 _BOUND_TOLERANCE = 1e-6  # relative
+_UNDECLARED_STDS = (
+    4.0  # standard deviations of its prior beyond which friction that is declared as zero is reported
+)
+_CLEAR_DAMPING = 2.0  # factor between fitted and declared damping, from which on the file is called wrong
 _COMPATIBLE_STDS = 2.0  # standard deviations within which a value may equal the declared one
 # Parameters that users know to within a factor of two; friction and back-EMF may be a fraction of the declared value.
 _KNOWN_PARAMETERS = ("mass", "EA", "Kt")
@@ -256,7 +260,14 @@ def parameters_at_limit(machine: Machine, declared: Machine) -> dict[str, str]:
     described = {}
     for parameter in default_free_parameters(declared):
         value = machine.parameters.get(parameter.name)
-        if value is None or not parameter.at_limit(parameter.theta(value)):
+        if value is None:
+            continue
+        if parameter.center == 0.0 and parameter.theta(value) > _UNDECLARED_STDS * parameter.prior:
+            found = f"{value:.3g} {declared.unit(parameter.name)}"
+            described[parameter.name] = (
+                f"{parameter.name} is {found}, as the motion determines it, and the machine file declares none"
+            )
+        if not parameter.at_limit(parameter.theta(value)):
             continue
         std = (machine.uncertainty.std(parameter.name) if machine.uncertainty else None) or 0.0
         ratio = f"{value / parameter.center:.2g}"
@@ -266,8 +277,14 @@ def parameters_at_limit(machine: Machine, declared: Machine) -> dict[str, str]:
                 f"{std / abs(parameter.center):.2g} times its declared value, which may be the better one"
             )
         elif parameter.beyond_limit(parameter.theta(value)):
+            what = parameter.name
+            if damping := _damping_ratio(parameter.name, machine, declared):
+                what, ratio = damping[0], f"{damping[1]:.2g}"
+                named = any(text.startswith(what) for text in described.values())
+                if named or 1.0 / _CLEAR_DAMPING < damping[1] < _CLEAR_DAMPING:
+                    continue
             described[parameter.name] = (
-                f"{parameter.name} is {ratio} times its declared value, as the motion determines it: correct the "
+                f"{what} is {ratio} times its declared value, as the motion determines it: correct the "
                 "machine file (mass, Kt, resistance, gear ratio) or the units of the recordings"
             )
         elif _is_known(parameter.name):
@@ -281,6 +298,24 @@ def parameters_at_limit(machine: Machine, declared: Machine) -> dict[str, str]:
                 "file if that is possible, because the other parameters compensate for what is beyond the limit"
             )
     return dict(sorted(described.items(), key=lambda item: not _is_known(item[0])))
+
+
+def _damping_ratio(name: str, machine: Machine, declared: Machine) -> tuple[str, float] | None:
+    """Return the words for the damping to which a parameter belongs, and its ratio to the declared one.
+
+    Viscous friction and back-EMF act alike, so that only their sum can contradict the machine file.
+    """
+    owner, _, key = name.rpartition(".")
+    if key not in ("viscous", "Ke"):
+        return None
+    coordinate = next((d.coordinate for d in declared.drives if d.name == owner and key == "Ke"), owner)
+
+    def damping(m: Machine) -> float:
+        back_emf = sum(d.back_emf for d in m.drives if d.coordinate == coordinate)
+        return m.coordinate(coordinate).viscous + back_emf
+
+    words = f"the damping of {coordinate} (viscous friction and back-EMF together)"
+    return (words, damping(machine) / damping(declared)) if damping(declared) else None
 
 
 def _is_known(name: str) -> bool:
