@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import pytest
 
 from hframe_gym.errors import InputError
 from hframe_gym.identification import default_free_parameters, fit, identify
 from hframe_gym.identification.budget import (
+    ALL_ROWS_PART,
     DEFAULT_SECONDS,
+    DESCRIPTION_PART,
+    EXCERPT_PART,
     SEARCH_PART,
     Budget,
     BudgetEndedError,
@@ -92,6 +96,17 @@ def test_by_default_an_identification_takes_two_minutes_of_processor_time() -> N
         identify(limited_runs([3.0, 3.0, 9.0]), AXIS, log=log)
     assert DEFAULT_SECONDS == 120.0
     assert lines == ["3 runs, 4500 rows: at most about 120 s of processor time"]
+
+
+def test_the_page_states_when_each_stage_ends() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "identification.md").read_text(encoding="utf-8")
+    for stage, part in {
+        "search, in complete runs": SEARCH_PART,
+        "search, in a part of a long session": EXCERPT_PART,
+        "fit of what was found to all rows of a long session": ALL_ROWS_PART,
+        "description of the remaining error, comparison of the runs with each other": DESCRIPTION_PART,
+    }.items():
+        assert f"| {stage} | {100 * part:.0f} % |" in page
 
 
 def test_a_stage_may_end_after_another_part_of_the_budget() -> None:

@@ -132,7 +132,7 @@ def find_effects(
         budget: Processor time after which the search ends.
     """
     found = _search_and_check(machine, all_runs, held_names, criteria, log, budget)
-    complete = not found.outcome.selected and not found.outcome.unfinished
+    complete = not found.outcome.selected and not found.outcome.unfinished and budget.has_time(EXCERPT_PART)
     others = _runs_to_exchange(found, log) if complete and may_exchange else []
     if others:
         exchanged = _search_and_check(machine, all_runs, others, criteria, log, budget)
