@@ -24,7 +24,7 @@ DEFAULT_SECONDS = 120.0  # of processor time, whatever the number of cores; an e
 # Parts of the budget after which a stage ends. What follows takes time as well: the tests of what was found and the
 # final fits took 5 to 20 % of the time of complete identifications, simulations of the held-out runs and the report a
 # few seconds.
-SEARCH_PART = 0.75  # search in complete runs
+SEARCH_PART = 0.7  # search in complete runs
 EXCERPT_PART = 0.6  # search in a part of the runs, which must be followed by a fit to all rows
 ALL_ROWS_PART = 0.85  # this fit
 DESCRIPTION_PART = 0.85  # description of the remaining error, and comparison of the runs with each other

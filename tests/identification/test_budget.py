@@ -37,7 +37,7 @@ class Clock:
         return self.seconds
 
 
-def test_the_search_may_use_three_quarters_of_the_budget() -> None:
+def test_the_search_ends_after_its_part_of_the_budget() -> None:
     steps: list[tuple[str, float, float]] = []
     budget = Budget(8.0 / SEARCH_PART, clock=Clock(), progress=lambda *step: steps.append(step))
     with budget.limiting():
