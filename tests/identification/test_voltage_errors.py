@@ -15,7 +15,11 @@ from hframe_gym.identification.fit.channel_errors import channel_errors
 from hframe_gym.identification.fit.covariance import with_uncertainty
 from hframe_gym.identification.fit.estimation import prediction_cost
 from hframe_gym.identification.fit.model_error import bandwidths_for, continue_fit
-from hframe_gym.identification.fit.slow_logs import _by_instruments, fit_slow_log
+from hframe_gym.identification.fit.slow_logs import (
+    _by_instruments,
+    _equations_with_delay,
+    fit_slow_log,
+)
 from hframe_gym.identification.fit.voltage_updates import (
     VoltagesChangeError,
     count_updates,
@@ -123,7 +127,7 @@ def test_residuals_are_whitened_window_by_window() -> None:
         noise = sensor_innovation_variance(machine, data.period, bandwidth)
         covariance = (responses @ responses.T).toarray() + np.diag(np.tile(noise, 203))
         root = np.linalg.cholesky(covariance)
-        white = errors_of_run.whiten(root.T, bandwidth)
+        white = errors_of_run.whitening(bandwidth)(root.T)
         correlation = white.T @ white
         np.testing.assert_allclose(np.diag(correlation), 1.0, atol=1e-5)
         assert np.sqrt(np.mean((correlation - np.eye(406)) ** 2)) < 0.02
@@ -132,6 +136,18 @@ def test_residuals_are_whitened_window_by_window() -> None:
         assert (
             errors_of_run.whitening(bandwidth).factors.nbytes <= 400 * 203
         )  # bytes a row, whatever the observer
+
+
+def test_a_wrong_zero_of_an_encoder_behind_belts_leaves_no_white_residual() -> None:
+    """The mean error over the run is mostly that of the voltages; a fit adapted the belts to what was left of a zero."""
+    run = with_errors().runs[0]
+    errors_of_run = InterpolationErrors(AXIS, run, interpolated())
+    wrong = np.zeros_like(run.outputs)
+    wrong[:, 0] = 1e-3 / run.noise[:, 0] * np.sqrt(run.weights[:, 0])  # rad, in units of the noise
+    residual = np.random.default_rng(0).normal(size=wrong.size)
+    right, shifted = errors_of_run.whiten(np.array([residual, residual + wrong.ravel()]), SEARCH_BANDWIDTH)
+    np.testing.assert_allclose(shifted, right, atol=1e-6)
+    assert np.sum(errors_of_run.whitening(SEARCH_BANDWIDTH)(wrong.reshape(1, -1)) ** 2) > 10.0
 
 
 def test_the_errors_of_voltages_no_longer_make_a_pulley_too_heavy() -> None:
@@ -187,7 +203,9 @@ def test_instruments_weigh_a_pulley_that_least_squares_find_too_heavy() -> None:
     masses = np.array([found.machine.parameters[name] for name in ("x.mass", "phi.mass")])
     exact = np.array([RIG.parameters[name] for name in ("x.mass", "phi.mass")])
     assert np.all(np.abs(masses / exact - 1.0) < 0.5 * np.abs(errors(least_squares())))
-    covariance = found.equations.covariance(prior_precision(least_squares().free))
+    equations = _equations_with_delay(least_squares(), found.theta, interpolated())
+    assert equations is not None
+    covariance = equations.covariance(prior_precision(least_squares().free), found.theta)
     fitted = dataclasses.replace(
         least_squares(), machine=found.machine, theta=found.theta, covariance=covariance
     )

@@ -33,7 +33,7 @@ _MAX_LEVERAGE = 0.99  # Largest fraction of the information in one block for whi
 _MAX_DIFFERENCE = 0.01
 # Standard deviation of the delay between inputs and measurements, in sampling periods. The times of recordings are no
 # more accurate than that, and 1 % changes the identified inertia of a motor by more than the sensors' noise does.
-_DELAY_STD = 0.005
+DELAY_STD = 0.005
 _DELAY_DIFFERENCE = 0.05  # sampling periods
 
 
@@ -114,7 +114,7 @@ def with_uncertainty(fitted: Fit, data: Dataset) -> Machine:
     changes = (
         np.einsum("bij,bj->bi", axes, along_axes) @ root
     )  # of the estimate by each block's residual, (blocks, k)
-    changes = changes @ directions.T * _student_widening(information, directions @ inverse)
+    changes = changes @ directions.T * student_widening(information, directions @ inverse)
     covariance = changes.T @ changes + directions @ inverse @ prior @ inverse @ directions.T
     white = directions @ inverse @ directions.T  # no variance is smaller than that; correlations are kept
     inflation = np.sqrt(np.maximum(np.diag(white) / np.maximum(np.diag(covariance), 1e-300), 1.0))
@@ -122,7 +122,7 @@ def with_uncertainty(fitted: Fit, data: Dataset) -> Machine:
     of_delay = (
         directions @ inverse @ np.sum([part.delay_products for part in parts], axis=0)
     )  # per sampling period
-    delay_variance = _DELAY_STD**2 + _estimated_delay(parts, inverse) ** 2
+    delay_variance = DELAY_STD**2 + _estimated_delay(parts, inverse) ** 2
     covariance += delay_variance * np.outer(of_delay, of_delay)
     covariance += np.diag(np.where([f.switch for f in fitted.free], np.diag(directions), 0.0) ** 2)
     return _with_covariance(fitted, covariance)
@@ -136,7 +136,7 @@ def _with_covariance(fitted: Fit, covariance: Array) -> Machine:
     return fitted.machine.replace(uncertainty=uncertainty)
 
 
-def _student_widening(information: Array, estimator: Array) -> Array:
+def student_widening(information: Array, estimator: Array) -> Array:
     """Return by which factor few blocks widen the 95 % interval of each parameter, shape (k,), at least 1.
 
     The degrees of freedom are the effective number of blocks that determine a parameter (Satterthwaite).
@@ -262,4 +262,4 @@ def _estimated_delay(parts: list[_RunPart], inverse: Array) -> float:
     )
     information = sum(part.delay_information for part in parts) - products @ inverse @ products
     score = sum(part.delay_score for part in parts) - products @ inverse @ scores
-    return float(-score / (max(information, 0.0) + 1.0 / _DELAY_STD**2))
+    return float(-score / (max(information, 0.0) + 1.0 / DELAY_STD**2))

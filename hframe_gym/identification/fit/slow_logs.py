@@ -53,7 +53,7 @@ from ..predict.prediction import (
     innovation_variance,
     map_runs,
 )
-from .covariance import BLOCK_S, principal_directions
+from .covariance import BLOCK_S, DELAY_STD, principal_directions, student_widening
 from .estimation import Fit, prediction_cost, prediction_costs
 from .model_error import search_step
 
@@ -108,10 +108,12 @@ class _Equations(NamedTuple):
 
     Attributes:
         information: Shape (k, k).
-        scores: Gradient of each block of 0.5 s, in which the residual may be correlated, shape (blocks, k).
+        by_block: The information of each block of 0.5 s, in which the residual may be correlated, shape (blocks, k, k).
+        scores: Gradient of each block, shape (blocks, k).
     """
 
     information: Array
+    by_block: Array
     scores: Array
 
     @property
@@ -119,20 +121,39 @@ class _Equations(NamedTuple):
         """Sum of the scores, shape (k,)."""
         return np.asarray(self.scores.sum(axis=0))
 
-    def covariance(self, prior: Array) -> Array:
-        """Return the covariance of theta by the sandwich estimator, shape (k, k), at least that of a white residual."""
-        white = np.linalg.inv(self.information + prior)
-        sandwich = white @ (self.scores.T @ self.scores + prior) @ white
+    def without_delay(self) -> _Equations:
+        """Return the equations without the last parameter, the voltages' delay."""
+        return _Equations(self.information[:-1, :-1], self.by_block[:, :-1, :-1], self.scores[:, :-1])
+
+    def delay(self, prior: Array, theta: Array) -> ExcessDelay:
+        """Return the voltages' delay, the last parameter, from the prior and theta of the other ones."""
+        prior = block_diag(prior, 1.0)  # of the delay: one sampling period
+        covariance = np.linalg.inv(self.information + prior)
+        step = -covariance @ (self.gradient + prior @ np.append(theta, 0.0))
+        return ExcessDelay(float(step[-1]), math.sqrt(covariance[-1, -1]))
+
+    def covariance(self, prior: Array, theta: Array) -> Array:
+        """Return the covariance of theta, shape (k - 1, k - 1), if the last parameter is the voltages' delay.
+
+        Its parts are those of `covariance.with_uncertainty`: residual, prior and delay.
+        """
+        known = self.without_delay()
+        white = np.linalg.inv(known.information + prior)
+        changes = known.scores @ white * student_widening(known.by_block, white)
+        sandwich = changes.T @ changes + white @ prior @ white
         inflation = np.sqrt(np.maximum(np.diag(white) / np.diag(sandwich), 1.0))
-        return np.asarray(sandwich * np.outer(inflation, inflation))
+        of_delay = white @ self.information[:-1, -1]
+        variance = DELAY_STD**2 + self.delay(prior, theta).periods ** 2
+        return np.asarray(
+            sandwich * np.outer(inflation, inflation) + variance * np.outer(of_delay, of_delay)
+        )
 
 
 class _Estimate(NamedTuple):
-    """Fit by instruments: k parameters theta, the machine, and the equations at these parameters."""
+    """Fit by instruments: k parameters theta, and the machine."""
 
     theta: Array
     machine: Machine
-    equations: _Equations
 
 
 class ExcessDelay(NamedTuple):
@@ -258,7 +279,12 @@ def excess_delay(fitted: Fit, data: Dataset) -> ExcessDelay | None:
     by_instruments = _by_instruments(fitted, data) if _are_enough(data) else None
     if by_instruments is None:
         return None
-    theta = by_instruments.theta
+    equations = _equations_with_delay(fitted, by_instruments.theta, data)
+    return None if equations is None else equations.delay(prior_precision(fitted.free), by_instruments.theta)
+
+
+def _equations_with_delay(fitted: Fit, theta: Array, data: Dataset) -> _Equations | None:
+    """Return the equations for the parameters and the voltages' delay; None if a prediction diverges."""
     models = _Models.of(fitted, data)
     linear = [
         _Linear(
@@ -273,11 +299,8 @@ def excess_delay(fitted: Fit, data: Dataset) -> ExcessDelay | None:
     if not _are_finite(linear):
         return None
     whitening, used = _whitening([of_run.residual for of_run in linear], models.all_rows, models.sensors)
-    prior = block_diag(prior_precision(fitted.free), 1.0)  # of the delay: one sampling period
-    equations = _normal_equations(linear, whitening, used, prior, models.rows_per_block)
-    covariance = np.linalg.inv(equations.information + prior)
-    step = -covariance @ (equations.gradient + prior @ np.append(theta, 0.0))
-    return ExcessDelay(float(step[-1]), math.sqrt(covariance[-1, -1]))
+    prior = block_diag(prior_precision(fitted.free), 1.0)
+    return _normal_equations(linear, whitening, used, prior, models.rows_per_block)
 
 
 def _delay_derivatives(model: ResidualModel, theta: Array) -> list[Array]:
@@ -312,7 +335,7 @@ def _by_instruments(fitted: Fit, data: Dataset) -> _Estimate | None:
         step *= min(1.0, _LONGEST_STEP / max(float(np.abs(step).max()), 1e-300))
         theta = theta + step
         if -float(slope @ step) < _CONVERGED:
-            return _Estimate(theta, models.measured.machine_at(theta), equations)
+            return _Estimate(theta, models.measured.machine_at(theta))
     return None
 
 
@@ -330,6 +353,9 @@ def _are_enough(data: Dataset) -> bool:
 
 def _finished(fitted: Fit, estimate: _Estimate, data: Dataset) -> Fit:
     """Return the fit with other parameters, and its cost with the observer that it had."""
+    equations = _equations_with_delay(fitted, estimate.theta, data.without_voltage_errors())
+    if equations is None:
+        return fitted
     data, machine = data.with_observers(fitted.observers), estimate.machine
     cost = prediction_cost(machine, data, fitted.bandwidth, longest_step=fitted.longest_step)
     floor = innovation_variance(machine, data, fitted.bandwidth)[0]
@@ -342,8 +368,8 @@ def _finished(fitted: Fit, estimate: _Estimate, data: Dataset) -> Fit:
         cost=cost,
         count=data.count,
         floor=floor,
-        information=estimate.equations.information,
-        covariance=estimate.equations.covariance(prior_precision(fitted.free)),
+        information=equations.without_delay().information,
+        covariance=equations.covariance(prior_precision(fitted.free), estimate.theta),
     )
 
 
@@ -395,15 +421,20 @@ def _normal_equations(
 ) -> _Equations:
     """Return the normal equations of the white residual's part that instruments represent, for k parameters."""
     k = len(prior)
-    products, blocks = np.zeros((k, 2 * k)), []
+    products, of_runs = np.zeros((k, 2 * k)), []
     for of_run, kept in zip(linear, used, strict=True):
         parts = np.vstack([of_run.instruments, of_run.jacobian, of_run.residual])
         white = whitening(parts) * kept[:, None]
-        by_row = np.einsum("kns,ns->nk", white[:k], white[-1])
-        blocks.append(np.add.reduceat(by_row, np.arange(0, len(by_row), rows_per_block), axis=0))
         flat = white.reshape(len(white), -1)
         products += flat[:k] @ flat[:-1].T
+        begins = range(0, white.shape[1], rows_per_block)
+        of_runs += [white[:, begin : begin + rows_per_block].reshape(len(white), -1) for begin in begins]
     # A small part of the prior keeps combinations without instruments determined; it moves no parameter.
     own, of_jacobian = products[:, :k], products[:, k:]
     projected_rows = of_jacobian.T @ np.linalg.inv(own + 0.01 * prior)
-    return _Equations(projected_rows @ of_jacobian, np.concatenate(blocks) @ projected_rows.T)
+    represented = [projected_rows @ block[:k] for block in of_runs]  # (k, values of a block)
+    return _Equations(
+        projected_rows @ of_jacobian,
+        np.array([rows @ rows.T for rows in represented]),
+        np.array([rows @ block[-1] for rows, block in zip(represented, of_runs, strict=True)]),
+    )

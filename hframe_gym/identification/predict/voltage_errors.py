@@ -34,6 +34,7 @@ from typing_extensions import override
 from ...arrays import Array
 from ...machine import Machine
 from ...preparation.dataset import Dataset, PreparedRecording, VoltageErrors
+from ...preparation.sensor_zeros import max_fitted_zero_means
 from .prediction import (
     POLISH_STEP,
     SIMULATION,
@@ -223,16 +224,22 @@ class InterpolationErrors(VoltageErrors):
         held = dataclasses.replace(run, updates=1, voltage_errors=None)
         self._machine, self._run = machine, held
         self._data = dataclasses.replace(data, runs=(held,))
-        self._by_bandwidth: dict[float, Whitening] = {}
+        self._by_bandwidth: dict[float, tuple[Whitening, Array]] = {}
 
     @override
     def whiten(self, residual: Array, bandwidth: float) -> Array:
         finite = np.isfinite(residual).all(axis=1)
         if finite.all():
-            return self.whitening(bandwidth)(residual)  # without copies
+            return self._without_zeros(residual, bandwidth)  # without copies
         white = np.full_like(residual, np.nan)
-        white[finite] = self.whitening(bandwidth)(residual[finite])
+        white[finite] = self._without_zeros(residual[finite], bandwidth)
         return white
+
+    def _without_zeros(self, residual: Array, bandwidth: float) -> Array:
+        """Return finite residuals white, without what unknown zeros of the sensors explain."""
+        whitening, zeros = self._prepared(bandwidth)
+        white = whitening(residual)
+        return white - (white @ zeros.T) @ zeros
 
     @override
     def log_variance(self, bandwidth: float) -> Array:
@@ -244,10 +251,30 @@ class InterpolationErrors(VoltageErrors):
         Args:
             bandwidth: Bandwidth of the observer that corrects the predictions, rad/s.
         """
+        return self._prepared(bandwidth)[0]
+
+    def _prepared(self, bandwidth: float) -> tuple[Whitening, Array]:
+        """Return the whitening, and an orthonormal basis of the white responses to zeros, (zeros, n * sensors)."""
         if bandwidth not in self._by_bandwidth:
             variance = sensor_innovation_variance(self._machine, self._data.period, bandwidth)
-            self._by_bandwidth[bandwidth] = Whitening.of(self.responses(bandwidth), variance)
+            whitening = Whitening.of(self.responses(bandwidth), variance)
+            white = whitening(self._zero_responses())
+            self._by_bandwidth[bandwidth] = whitening, np.ascontiguousarray(np.linalg.qr(white.T)[0].T)
         return self._by_bandwidth[bandwidth]
+
+    def _zero_responses(self) -> Array:
+        """Return the change of the residual by an error of each zero that is not known, shape (zeros, n * sensors).
+
+        The mean error, which a fit removes otherwise, is mostly that of the voltages. With an observer, constant errors
+        of the zeros have constant innovations, of all sensors; those that were not measured are 0.
+        """
+        run, data = self._run, self._data
+        limits = max_fitted_zero_means(data.behind_belts, data.quantum, run.initial.measured_at_rest)
+        scales = np.sqrt(run.weights) / run.noise
+        free = np.flatnonzero(np.isinf(limits) & (run.weights.sum(axis=0) > 0.0))
+        responses = np.zeros((len(free), *scales.shape))
+        responses[np.arange(len(free)), :, free] = (scales[:, free] / scales[:, free].max(axis=0)).T
+        return responses.reshape(len(free), -1)
 
     def responses(self, bandwidth: float) -> sparse.csr_array:
         """Return the change of the residual by errors of one standard deviation, shape (n * sensors, errors).
