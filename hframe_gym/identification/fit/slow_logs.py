@@ -374,17 +374,20 @@ def _finished(fitted: Fit, estimate: _Estimate, data: Dataset) -> Fit:
 
 
 def _smoothed(run: PreparedRecording) -> PreparedRecording:
-    """Return a run with smoothed voltages and measurements; those that are missing are interpolated."""
+    """Return a run with smoothed voltages, measurements and times; missing measurements are interpolated.
+
+    A controller differentiates the jitter of its clock, so that its voltages err with the time of each row.
+    Measurements that were smooth at unsmoothed times would contain that time, and be no instrument.
+    """
     outputs = run.outputs.copy()
     for values in outputs.T:
         measured = np.isfinite(values)
         if measured.any():
-            values[:] = savgol_filter(
-                np.interp(run.time_s, run.time_s[measured], values[measured]), _SMOOTHED_ROWS, 3
-            )
-    return dataclasses.replace(
-        run, inputs=savgol_filter(run.inputs, _SMOOTHED_ROWS, 3, axis=0), outputs=outputs
+            values[:] = np.interp(run.time_s, run.time_s[measured], values[measured])
+    time_s, inputs, outputs = (
+        savgol_filter(values, _SMOOTHED_ROWS, 3, axis=0) for values in (run.time_s, run.inputs, outputs)
     )
+    return dataclasses.replace(run, time_s=time_s, inputs=inputs, outputs=outputs)
 
 
 def _earlier(rows: Array) -> Array:
