@@ -18,6 +18,7 @@ from hframe_gym.identification.fit.model_error import bandwidths_for, continue_f
 from hframe_gym.identification.fit.slow_logs import (
     _by_instruments,
     _equations_with_delay,
+    _smoothed,
     fit_slow_log,
 )
 from hframe_gym.identification.fit.voltage_updates import (
@@ -139,7 +140,7 @@ def test_residuals_are_whitened_window_by_window() -> None:
 
 
 def test_a_wrong_zero_of_an_encoder_behind_belts_leaves_no_white_residual() -> None:
-    """The mean error over the run is mostly that of the voltages; a fit adapted the belts to what was left of a zero."""
+    """The mean error over the run is mostly that of the voltages; belts adapted to what was left of a zero."""
     run = with_errors().runs[0]
     errors_of_run = InterpolationErrors(AXIS, run, interpolated())
     wrong = np.zeros_like(run.outputs)
@@ -214,6 +215,17 @@ def test_instruments_weigh_a_pulley_that_least_squares_find_too_heavy() -> None:
     deviations = np.array([uncertainty.std(name) for name in ("x.mass", "phi.mass")], float)
     assert np.all(np.abs(masses - exact) < 3.0 * deviations)
     assert np.all(deviations < 0.05 * exact)
+
+
+def test_instruments_do_not_contain_the_jitter_of_the_clock() -> None:
+    """A controller differentiates it, so that its voltages err with the times of the rows."""
+    run, rng = slow_log().runs[0], np.random.default_rng(0)
+    time_s = run.time_s + rng.uniform(-0.2, 0.2, len(run.time_s)) * slow_log().period
+    moving = np.column_stack([time_s**2, time_s])
+    smooth = _smoothed(dataclasses.replace(run, time_s=time_s, outputs=moving))
+    at_its_times = np.column_stack([smooth.time_s**2, smooth.time_s])
+    assert np.abs(smooth.outputs - at_its_times).max() < 5e-5  # 1e-3 at the times of the rows
+    assert np.std(smooth.time_s - run.time_s) < 0.5 * np.std(time_s - run.time_s)
 
 
 def test_a_log_with_held_voltages_or_few_rows_is_not_fitted_by_instruments() -> None:

@@ -144,9 +144,7 @@ class _Equations(NamedTuple):
         inflation = np.sqrt(np.maximum(np.diag(white) / np.diag(sandwich), 1.0))
         of_delay = white @ self.information[:-1, -1]
         variance = DELAY_STD**2 + self.delay(prior, theta).periods ** 2
-        return np.asarray(
-            sandwich * np.outer(inflation, inflation) + variance * np.outer(of_delay, of_delay)
-        )
+        return np.asarray(sandwich * np.outer(inflation, inflation) + variance * np.outer(of_delay, of_delay))
 
 
 class _Estimate(NamedTuple):
