@@ -138,7 +138,7 @@ class _Equations(NamedTuple):
         Its parts are those of `covariance.with_uncertainty`: residual, prior and delay.
         """
         known = self.without_delay()
-        white = np.linalg.inv(known.information + prior)
+        white = np.asarray(np.linalg.inv(known.information + prior), np.float64)
         changes = known.scores @ white * student_widening(known.by_block, white)
         sandwich = changes.T @ changes + white @ prior @ white
         inflation = np.sqrt(np.maximum(np.diag(white) / np.diag(sandwich), 1.0))
