@@ -96,6 +96,7 @@ class RunDifferences(NamedTuple):
         chi2_before: Chi-squared per sample with one machine for all runs.
         chi2: The same with the differences.
         shared: Smallest amount, dimensionless: by how much every run departs from the fit that the amounts start from.
+        explains: Whether the machine with these values explains the runs; otherwise something else is missing as well.
     """
 
     quantity: Quantity
@@ -103,6 +104,7 @@ class RunDifferences(NamedTuple):
     chi2_before: float
     chi2: float
     shared: float = 0.0
+    explains: bool = True
 
     @property
     def differs(self) -> bool:
@@ -141,10 +143,12 @@ class RunDifferences(NamedTuple):
             change = self.quantity.describe(amount) + (
                 "" if self.quantity.additions else " times that of the others"
             )
-            return (
-                f"{run} differs from the other runs in {self.quantity.name}: {change}. With this, one machine explains "
-                f"all runs ({chi2})."
+            rest = (
+                "one machine explains all runs"
+                if self.explains
+                else "much less is left, though not only noise"
             )
+            return f"{run} differs from the other runs in {self.quantity.name}: {change}. With this, {rest} ({chi2})."
         runs = ", ".join(f"{run} {self.quantity.describe(amount)}" for run, amount in self.amounts.items())
         kind = (
             "Difference from the lightest run" if self.quantity.additions else "Ratio to the smallest value"
@@ -172,7 +176,7 @@ def find_run_differences(fitted: Fit, data: Dataset, criteria: SelectionCriteria
         there is no such quantity, if one machine explains all runs, for fewer than three runs, or if the machine
         diverges.
     """
-    found = [each for each in _explanations(fitted, data, criteria) if each.differs]
+    found = [each for each in _compared(fitted, data, criteria) if each.explains and each.differs]
     return min(found, key=lambda each: each.chi2, default=None)
 
 
@@ -186,11 +190,16 @@ def describe_run_differences(fitted: Fit, data: Dataset, criteria: SelectionCrit
 
     Returns:
         One sentence about a quantity that differs between the runs; if there is none, about a quantity that needs the
-        same other value in all runs; nothing if no quantity explains the runs.
+        same other value in all runs. If no quantity explains the runs, one about the run that alone needs another value
+        of a quantity, provided that this explains nearly all of the error; otherwise nothing.
     """
-    found = _explanations(fitted, data, criteria)
-    best = min(found, key=lambda each: (not each.differs, each.chi2), default=None)
-    return (str(best),) if best else ()
+    found = _compared(fitted, data, criteria)
+    explaining = [each for each in found if each.explains]
+    if explaining:
+        return (str(min(explaining, key=lambda each: (not each.differs, each.chi2))),)
+    best = min(found, key=lambda each: each.chi2, default=None)
+    alone = best and judge.differs_alone(best.different_run, best.chi2, best.chi2_before)
+    return (str(best),) if alone else ()
 
 
 def best_by_run(fitted: Fit, data: Dataset) -> RunDifferences | None:
@@ -207,16 +216,19 @@ def best_by_run(fitted: Fit, data: Dataset) -> RunDifferences | None:
     return min(found, key=lambda each: each.chi2, default=None)
 
 
-def _explanations(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> list[RunDifferences]:
-    """Return the quantities that explain all runs with values of their own, whether these differ or not."""
+def _compared(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> list[RunDifferences]:
+    """Return the most promising quantities with values of their own in each run, whether these differ or not."""
     if len(data.runs) < judge.MIN_RUNS_COMPARED:
         return []
     common = continue_fit(fitted, data, SEARCH_BANDWIDTH)
     if judge.one_value_explains(common.chi2, common.floor, criteria):
         return []
+
+    def explains(each: RunDifferences) -> bool:
+        return judge.one_value_explains(each.chi2, common.floor, criteria)
+
     # From the machine of the runs that agree: thresholds of effects may be lost in a compromise with a different run.
-    found = _fits_by_run(fitted, data, common.chi2)
-    return [each for each in found if judge.one_value_explains(each.chi2, common.floor, criteria)]
+    return [each._replace(explains=explains(each)) for each in _fits_by_run(fitted, data, common.chi2)]
 
 
 def _fits_by_run(fitted: Fit, data: Dataset, chi2_before: float) -> Iterator[RunDifferences]:
