@@ -38,7 +38,7 @@ IN_RESULTS = (
     "controllers",
     "agents score",
     "ray_scaling",
-    "closed_loop",
+    "corrected_control",
 )
 
 

@@ -191,8 +191,8 @@ def her(results: dict[str, Any]) -> str:
     return markdown(["SAC + HER", "within 5 mm", "steps", "steps to 90 %", "processor s"], rows)
 
 
-@table("closed_loop")
-def closed_loop(results: dict[str, Any]) -> str:
+@table("corrected_control")
+def corrected_control(results: dict[str, Any]) -> str:
     """Format the number of rigs on which the corrected machine's controller is better, and the scores by rig."""
     rigs, decides, header = results["rigs"], results["decides"], ["declared", "refitted", "corrected"]
     rows = []

@@ -1,8 +1,8 @@
 """Does the identified machine give better controllers? They are evaluated on the rig from which it was identified.
 
-    python -m benchmarks.closed_loop                                 # all rigs: identify, train, evaluate (two hours)
-    python -m benchmarks.closed_loop --rigs 'cogging@motor1 full'    # only this rig; the others keep their results
-    python -m benchmarks.closed_loop --controllers apg_mix           # only these; the others keep their results
+    python -m benchmarks.corrected_control                                # all rigs: identify, train, evaluate (2 h)
+    python -m benchmarks.corrected_control --rigs 'cogging@motor1 full'   # only this rig; the others keep their results
+    python -m benchmarks.corrected_control --controllers apg_mix          # only these; the others keep their results
 
 Each rig of the independent simulator has one or three undeclared effects and parameters that are 5 to 20 % off. From
 its recordings `identify` gives three machines: declared, refitted (before) and corrected (after). Each machine alone is
@@ -20,7 +20,7 @@ controllers that are not learned both.
 Training uses the same recipe, steps and seeds for all machines; the steps are fewer than those of shipped agents. The
 declared and the refitted machine have the default randomization, because their error is unknown; the corrected one has
 the uncertainty of its file. Differences are paired (same episode and seed) with 95 % bootstrap intervals over the
-episodes, each the mean over its seeds. Seeds and versions are in results/closed_loop.json.
+episodes, each the mean over its seeds. Seeds and versions are in results/corrected_control.json.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.closed_loop_plots import draw
+from benchmarks.corrected_control_plots import draw
 from benchmarks.results_file import RESULTS, write_results
 from benchmarks.rig_loop import PERIOD_S, Driven, drive
 from hframe_gym.agents import Agent, load_recipe, train
@@ -49,7 +49,7 @@ from hframe_gym.recordings import load_machine
 from tests.rigs.cases import cases
 from tests.rigs.recording_sessions import DEFAULT_FOLDER, Session, record
 
-CACHE = Path("out/closed_loop")
+CACHE = Path("out/corrected_control")
 RIGS = (
     "stribeck_friction@x full",
     "dead_band@motor1 full",
@@ -278,7 +278,7 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=EPISODES)
     parser.add_argument("--seeds", type=int, nargs="+", default=list(AGENTS), help="seeds of the agents")
     arguments = parser.parse_args()
-    file = RESULTS / "closed_loop.json"
+    file = RESULTS / "corrected_control.json"
     previous = json.loads(file.read_text()) if file.is_file() else {"rigs": {}}
     comparable = all(previous.get(key) == getattr(arguments, key) for key in ("episodes", "seeds"))
     rows = {name: row for name, row in previous["rigs"].items() if comparable}
@@ -301,7 +301,7 @@ def main() -> None:
             "better": wins,
             "rigs": rows,
         }
-        write_results("closed_loop", content, seed=SEED)
+        write_results("corrected_control", content, seed=SEED)
     print(json.dumps(wins, indent=1))
     draw(rows, DECIDES)
 

@@ -1,4 +1,4 @@
-"""Draw the results of the closed-loop benchmark: each controller on each rig, by the machine of its design."""
+"""Draw the results of benchmarks.corrected_control: each controller on each rig, by the machine of its design."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ PANELS = {
 
 
 def draw(rigs: dict[str, Any], decides: dict[str, str]) -> None:
-    """Write docs/figures/closed_loop.png: means and 95 % intervals.
+    """Write docs/figures/corrected_control.png: means and 95 % intervals.
 
     Args:
         rigs: Results by rig.
@@ -55,4 +55,4 @@ def draw(rigs: dict[str, Any], decides: dict[str, str]) -> None:
         first.set_yticks(np.arange(len(rigs)), names, fontsize=8)
     axes[0, 0].invert_yaxis()
     axes[0, 1].legend(ncols=3, fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0), frameon=False)
-    save_figure(figure, FIGURES / "closed_loop.png")
+    save_figure(figure, FIGURES / "corrected_control.png")
