@@ -551,6 +551,19 @@ def test_a_machine_that_diverges_has_no_error_but_a_cause(data: Dataset, tmp_pat
     assert np.isnan(dataclasses.replace(result_of(data, "effect_found", STRIBECK), before=diverged).explained)
 
 
+@pytest.mark.parametrize(
+    ("percent", "unit"), [(0.5, "times the sensors' noise"), (180.0, "% of the drives' force")]
+)
+def test_the_force_is_stated_only_if_the_simulation_drifts(percent: float, unit: str) -> None:
+    """Real recordings have errors far beyond the noise of an encoder, but small ones of the motion."""
+    channel = {"x_m": {"rmse": 1e-3, "noise_ratio": 600.0, "percent_of_motion": percent}}
+    errors = {"held_out": {**channel, "force_error": 2.0}}
+    report = {"verdict": "unexplained", "effects": [], "left": 600.0, "residual": {"depends_on": []}}
+    report |= dict.fromkeys(("declared", "before", "after"), errors) | {"plain": {"delivered": True}}
+    sentence = verdict_sentence(report, ["x_m"])
+    assert f"{unit}, and no known effect explains it. A plain fit of inertia and friction leaves" in sentence
+
+
 @pytest.mark.parametrize("verdict", ["effect_found", "no_effect", "unexplained"])
 def test_what_is_left_is_stated_also_if_errors_are_those_of_the_force(verdict: str) -> None:
     errors = {"held_out": {"x_m": {"rmse": 1.0, "noise_ratio": 900.0}, "force_error": 0.06}}

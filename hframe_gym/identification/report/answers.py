@@ -32,9 +32,8 @@ _DEVIATING = (
 _CLEARLY_BETTER = (
     0.9  # Fraction of the refitted machine's error below which that of the declared one is mentioned.
 )
-_MAX_NOISE_RATIO = (
-    50.0  # Simulation error over noise beyond which the simulation drifted, if a force error exists.
-)
+# A simulation whose error is beyond both has drifted: times the noise, and percent of the motion before or after.
+_MAX_NOISE_RATIO, _MAX_PERCENT_OF_MOTION = 50.0, 50.0
 _BY_INSTRUMENTS = (
     "The parameters and their standard deviations come from a fit by instruments (smoothed voltages and measurements), "
     "which simulates the fitted runs better than a fit to the residual that the voltages' statistics make white."
@@ -255,8 +254,8 @@ def tone_of_remainder(report: Mapping[str, Any]) -> Literal["good", "neutral", "
 def verdict_sentence(report: Mapping[str, Any], channels: Sequence[str]) -> str:
     """Describe in words the verdict and the error on the held-out runs, which were not fitted.
 
-    The error is the simulation error in units of the sensors' noise, root mean square over the channels. If that is
-    above 50, the simulation drifts; the relative error of the drives' force is then stated if the report contains it.
+    The error is the simulation error in units of the sensors' noise, root mean square over the channels. If the
+    simulation drifts, the relative error of the drives' force is stated instead, if the report contains it.
 
     Args:
         report: Content of report.json.
@@ -333,6 +332,8 @@ def _verdict_sentence(report: Mapping[str, Any], channels: Sequence[str]) -> str
         found = f"{start} declared model on the held-out runs is {before} {unit}.{remainder}"
         return " ".join([found, *([] if remainder else _left_in_words(report)), *_unfinished(report)])
     text = f"The error of the refitted model on the held-out runs is {before} {unit}, and no known effect explains it."
+    if (report.get("plain") or {}).get("delivered"):
+        text += f" A plain fit of inertia and friction leaves {after} {unit}, and is delivered."
     why = [f"Why no other verdict is given: {report['reason']}."] if report.get("reason") else []
     parts = [
         text,
@@ -412,7 +413,11 @@ def drifts(report: Mapping[str, Any], channels: Sequence[str]) -> bool:
         channels: Names of the output channels.
     """
     ratio = noise_ratio(report, "after", channels)
-    return "force_error" in report["after"]["held_out"] and ratio is not None and ratio > _MAX_NOISE_RATIO
+    if "force_error" not in report["after"]["held_out"] or ratio is None or ratio <= _MAX_NOISE_RATIO:
+        return False
+    errors = [report[stage]["held_out"][c] for stage in ("before", "after") for c in channels]
+    percents = [e["percent_of_motion"] for e in errors if e.get("percent_of_motion") is not None]
+    return not percents or max(percents) > _MAX_PERCENT_OF_MOTION
 
 
 def _remainder(report: Mapping[str, Any]) -> str:
