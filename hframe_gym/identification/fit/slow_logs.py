@@ -18,7 +18,8 @@ Instruments also tell how late the voltages act: the derivative with respect to 
 computed from smoothed voltages one more instrument (`excess_delay`).
 
 A fit to residuals that the statistics of the interpolation make white (`voltage_errors`) uses the data better, where
-these statistics are right; instruments need none. The fit that simulates the fitted runs better is taken.
+these statistics are right; instruments need none. Each is fitted to half of the runs, and the one that simulates the
+other half better is taken.
 
 References:
     Söderström and Stoica (1983), "Instrumental Variable Methods for System Identification".
@@ -55,7 +56,7 @@ from ..predict.prediction import (
 )
 from .covariance import BLOCK_S, DELAY_STD, principal_directions, student_widening
 from .estimation import Fit, prediction_cost, prediction_costs
-from .model_error import search_step
+from .model_error import continue_fit, search_step
 
 _ORDER = 12  # rows of the autoregression: errors of the voltages last as long as the belts vibrate
 # Rows of the cubics by which voltages and measurements are smoothed for the instruments: a single row counts 16 %.
@@ -243,21 +244,32 @@ def fit_slow_log(fitted: Fit, data: Dataset) -> Fit:
 
     Returns:
         Fit with the same observer: machine, k parameters theta, dimensionless, shape (k,), cost (chi-squared).
-        `fitted` itself if the voltages are held, the rows are too few, the steps do not converge, or the new machine
-        does not simulate the runs better (`judge.observer.simulates_better`).
+        `fitted` itself if the voltages are held, the rows are too few, the steps do not converge, or instruments do not
+        simulate left-out runs better (`judge.observer.simulates_better`).
     """
-    if not data.has_voltage_errors or not _are_enough(data):
+    if not data.has_voltage_errors or not _are_enough(data) or not _simulates_others_better(fitted, data):
         return fitted
     by_instruments = _by_instruments(fitted, data.without_voltage_errors())
-    if by_instruments is None:
-        return fitted
-    before, after = (
-        prediction_costs(m, data, SIMULATION, longest_step=POLISH_STEP)
-        for m in (fitted.machine, by_instruments.machine)
-    )
-    if not simulates_better(before, after):
-        return fitted
-    return _finished(fitted, by_instruments, data)
+    return fitted if by_instruments is None else _finished(fitted, by_instruments, data)
+
+
+def _simulates_others_better(fitted: Fit, data: Dataset) -> bool:
+    """Return whether instruments lead to better simulations than least squares, of each half of the runs by the other.
+
+    Errors of the voltages add up in a simulation, and a fit adapts to those of its own runs.
+    """
+    halves = [data.with_runs([run.name for run in data.runs[first::2]]) for first in (0, 1)]
+    before, after = list[Array](), list[Array]()
+    for known, others in (halves, halves[::-1]):
+        if not known.runs or not others.runs or not _are_enough(known):
+            return False
+        by_squares = continue_fit(fitted, known, fitted.bandwidth)
+        by_instruments = _by_instruments(by_squares, known.without_voltage_errors())
+        if by_instruments is None:
+            return False
+        for costs, machine in ((before, by_squares.machine), (after, by_instruments.machine)):
+            costs.append(prediction_costs(machine, others, SIMULATION, longest_step=POLISH_STEP))
+    return simulates_better(np.concatenate(before), np.concatenate(after))
 
 
 def excess_delay(fitted: Fit, data: Dataset) -> ExcessDelay | None:

@@ -55,10 +55,10 @@ def simulates_best(
 
 
 def simulates_better(before: Array, after: Array) -> bool:
-    """Return whether another machine simulates the fitted runs better, all runs counting alike.
+    """Return whether other machines simulate runs better, all runs counting alike.
 
     Args:
         before: Cost of each run in simulation, dimensionless, shape (runs,).
-        after: The same with the other machine, shape (runs,); not finite where its simulation diverges.
+        after: The same with the other machines, shape (runs,); not finite where its simulation diverges.
     """
     return bool(np.isfinite(after).all() and np.mean(np.log(after)) < np.mean(np.log(before)))
