@@ -30,6 +30,7 @@ from stable_baselines3.ppo import MultiInputPolicy
 
 from ..controllers import MotionModel
 from ..errors import InputError
+from .averaged_sac import update_average
 from .differentiable_episode import (
     SAMPLES,
     SimulatedPeriod,
@@ -42,7 +43,6 @@ from .differentiable_episode import (
 from .sb3_adapters import ResidualActionVecEnv, set_mean_action_to_zero
 
 LARGEST_NORM = 1.0  # of the gradient with respect to the weights
-HALF_KEPT_AFTER = 9.0  # updates after which the average keeps half of its value; the first weights are random
 
 
 class AnalyticPolicyGradient:
@@ -159,11 +159,7 @@ class AnalyticPolicyGradient:
         if torch.isfinite(norm):
             self._optimizer.step()
         self._updates += 1
-        # At the beginning the average forgets earlier weights faster.
-        kept = min(self._averaging, self._updates / (self._updates + HALF_KEPT_AFTER))
-        with torch.no_grad():
-            for average, weights in zip(self.policy.parameters(), self._trained.parameters(), strict=True):
-                average.lerp_(weights, 1.0 - kept)
+        update_average(self.policy, self._trained, self._averaging, self._updates)
 
     def _episode_costs(self, skipped: int) -> Any:
         """Simulate one episode in each environment; return its costs (B,) without the first `skipped` periods."""

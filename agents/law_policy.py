@@ -68,6 +68,7 @@ class ActionCritic(ContinuousCritic):
 
     @override
     def forward(self, obs: Any, actions: Any) -> Any:
+        self.requires_grad_(not actions.requires_grad)  # the loss of the actor does not change the critics
         offset = obs["action_offset"]
         laws = obs["law_actions"].unflatten(1, (-1, offset.shape[1]))
         action = limited(ActionParts(offset, obs["authority"], laws).action(actions))

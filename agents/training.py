@@ -268,7 +268,8 @@ class _Run:
     def _evaluate(self) -> None:
         """Score the current policy, log the scores, and keep a copy of it if it is the best."""
         model, was_training = self.model, self.model.policy.training
-        agent = Agent(model.policy, self.evaluation_mapping, self.machine, self.card)
+        policy = getattr(model, "evaluated_policy", model.policy)
+        agent = Agent(policy, self.evaluation_mapping, self.machine, self.card)
         scores = score_agent(agent, self.scenario)
         row = {
             "steps": model.num_timesteps,
@@ -322,6 +323,8 @@ def _algorithm(kind: str) -> Any:
         from .analytic_gradient import AnalyticPolicyGradient
 
         return AnalyticPolicyGradient
+    if kind == "sac":
+        return import_module("hframe_gym.agents.averaged_sac").AveragedSAC
     package = import_optional("sb3_contrib" if kind in CONTRIB_ALGORITHMS else "stable_baselines3")
     return package.CrossQ if kind == "crossq" else getattr(package, kind.upper())
 
