@@ -38,17 +38,20 @@ class AveragedSAC(SAC):
     """SAC with a moving average of its actor and a schedule of its target entropy.
 
     Args:
-        arguments: Arguments of `SAC`.
+        policy: Policy class.
+        env: Environments.
         averaging: Factor of the exponential moving average of the actor's weights per rollout, 0 to below 1; with 0,
             the actor itself is evaluated.
         target_entropy: As for `SAC`, or a function of the fraction of the run that remains.
-        keywords: Keyword arguments of `SAC`.
+        keywords: Further arguments of `SAC`.
     """
 
     @override
     def __init__(
         self,
-        *arguments: Any,
+        policy: Any,
+        env: Any,
+        *,
         averaging: float = 0.0,
         target_entropy: str | float | Callable[[float], float] = "auto",
         **keywords: Any,
@@ -56,7 +59,7 @@ class AveragedSAC(SAC):
         self.averaging = averaging
         self.entropy_schedule = target_entropy if callable(target_entropy) else None
         first = target_entropy(1.0) if callable(target_entropy) else target_entropy
-        super().__init__(*arguments, target_entropy=first, **keywords)
+        super().__init__(policy, env, target_entropy=first, **keywords)
 
     @property
     def evaluated_policy(self) -> Any:

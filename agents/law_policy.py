@@ -7,6 +7,7 @@ in the observation, and the gradient of the policy follows the same way back.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import torch
@@ -21,6 +22,11 @@ from typing_extensions import override
 from ..errors import InputError
 from .differentiable_episode import limited
 from .residual_action import ActionParts
+
+
+# Standard deviation of the actions that are tried, over that of the policy which the critics evaluate: they learn what
+# other voltages are worth from noise that would delay the arrival.
+EXPLORATION = 3.0
 
 
 class LawActor(Actor):
@@ -39,7 +45,8 @@ class LawActor(Actor):
     @override
     def forward(self, obs: Any, deterministic: bool = False) -> Any:
         mean, log_std, _ = self.get_action_dist_params(obs)
-        explored = self.action_dist.actions_from_params(mean[:, : self._drives], log_std, deterministic)
+        wider = log_std + math.log(EXPLORATION)
+        explored = self.action_dist.actions_from_params(mean[:, : self._drives], wider, deterministic)
         return self._joined(explored, mean)
 
     @override

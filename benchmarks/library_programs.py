@@ -107,9 +107,7 @@ def _of_skrl(variables: Variables) -> Policy:
 
 
 PROGRAMS = {
-    "Stable-Baselines3": Program(
-        "stable-baselines3", "stable_baselines3", _of_stable_baselines3, flat=False
-    ),
+    "Stable-Baselines3": Program("stable-baselines3", "stable_baselines3", _of_stable_baselines3, flat=False),
     "CleanRL style": Program("torch", "torch", _of_cleanrl),
     "TorchRL": Program("torchrl", "torchrl", _of_torchrl),
     "Tianshou": Program("tianshou", "tianshou", _of_tianshou),
