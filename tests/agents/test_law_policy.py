@@ -5,6 +5,7 @@ import torch
 
 from hframe_gym.agents.agent import policy_class, policy_keywords
 from hframe_gym.agents.features import feature_parameters
+from hframe_gym.agents.law_policy import EXPLORATION
 from hframe_gym.agents.residual_action import ResidualAction
 from hframe_gym.envs import observation_space
 from hframe_gym.errors import InputError
@@ -62,6 +63,16 @@ def test_only_the_outputs_for_the_drives_are_random(law_policy):
     assert log_prob.shape == (64,)
     assert torch.allclose(policy.actor(many, deterministic=True)[:, 2:], sampled[:, 2:])
     assert sampled.abs().max() <= 1.0
+
+
+def test_tried_actions_vary_more_than_those_that_the_critics_evaluate(law_policy, mapping):
+    _, observation = law_policy
+    actor = new_policy(mapping).actor
+    torch.nn.init.constant_(actor.log_std.bias, -5.0)  # no saturation
+    many = {key: values.expand(4096, -1) for key, values in observation.items()}
+    tried, evaluated = actor(many), actor.action_log_prob(many)[0]
+    ratio = tried[:, :2].std(dim=0) / evaluated[:, :2].std(dim=0)
+    torch.testing.assert_close(ratio, torch.full((2,), EXPLORATION), rtol=0.1, atol=0.0)
 
 
 def test_the_gradient_of_the_policy_reaches_the_weights_of_the_laws(law_policy):
