@@ -6,7 +6,7 @@ import json
 import pytest
 
 from benchmarks.library_programs import PAGE, PROGRAMS, code_of, draw, run, split_imports, with_steps
-from tools.tables import library_programs
+from tools.tables.agents import library_programs
 
 
 @pytest.mark.parametrize("section", PROGRAMS)

@@ -167,6 +167,29 @@ def agent_seeds(results: dict[str, Any]) -> str:
     return markdown([*header, "within 0.05 mm", "least precise seed"], rows)
 
 
+@table("library_programs")
+def library_programs(results: dict[str, Any]) -> str:
+    """Format what the programs of other libraries reach with their largest number of steps."""
+    rows = []
+    for section, result in results["programs"].items():
+        steps = max(run["steps"] for run in result["runs"])
+        last = [run for run in result["runs"] if run["steps"] == steps]
+        medians = [run["median_mm"] for run in last]
+        rows.append(
+            [
+                section,
+                str(len(last)),
+                str(steps),
+                f"{statistics.mean(run['cpu_s'] for run in last):.0f}",
+                f"{statistics.mean(medians):.2f} mm",
+                f"{max(medians):.2f} mm",
+                f"{100 * statistics.mean(run['within_0.2mm'] for run in last):.0f} %",
+            ]
+        )
+    header = ["library", "seeds", "steps", "processor s", "median error", "worst seed", "within 0.2 mm"]
+    return markdown(header, rows)
+
+
 def _ratio(result: dict[str, Any], over: str) -> str:
     """Format a ratio with its interval."""
     mean, (low, high) = result[over]["mean"], result[over]["ci95"]
