@@ -38,6 +38,7 @@ EPISODES, EPISODE_S = 256, 1.5
 EVALUATION_SEED = 1_000_000
 BANDS_MM = (1.0, 0.2)
 STEPS = (15_000, 50_000, 150_000)
+TICKS_S, TICKS_MM = (2, 5, 10, 20, 50), (0.1, 0.2, 0.4, 1, 2, 4)  # of the figure
 ACCEPTED_MM = 0.4  # median error that every program has to reach
 Variables = dict[str, Any]
 Policy = Callable[[Any], Any]  # batch of observations to actions without noise
@@ -243,6 +244,9 @@ def draw(programs: Variables) -> None:
             color=line.get_color(),
         )
     axis.axhline(ACCEPTED_MM, color="gray", lw=0.8, ls="--")
+    for set_ticks, ticks in ((axis.set_xticks, TICKS_S), (axis.set_yticks, TICKS_MM)):
+        set_ticks(ticks, [f"{tick:g}" for tick in ticks])
+    axis.minorticks_off()
     axis.set_xlabel("processor time of one core, s")
     axis.set_ylabel("median distance to the goal, mm")
     axis.legend(frameon=False)
