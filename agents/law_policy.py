@@ -23,7 +23,6 @@ from ..errors import InputError
 from .differentiable_episode import limited
 from .residual_action import ActionParts
 
-
 # Standard deviation of the actions that are tried, over that of the policy which the critics evaluate: they learn what
 # other voltages are worth from noise that would delay the arrival.
 EXPLORATION = 3.0
