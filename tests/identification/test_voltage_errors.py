@@ -7,9 +7,8 @@ from functools import cache
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from hframe_gym.dynamics import rollout
+from hframe_gym.arrays import Array
 from hframe_gym.identification import Dataset, Fit, SelectionCriteria, default_free_parameters, fit, prepare
 from hframe_gym.identification.fit.channel_errors import channel_errors
 from hframe_gym.identification.fit.covariance import with_uncertainty
@@ -43,47 +42,27 @@ from hframe_gym.identification.predict.voltage_errors import (
 )
 from hframe_gym.machine import BUILTIN_MACHINES
 from hframe_gym.recordings import Recording
+from tests.identification.controlled_runs import controlled_run, every, random_places
 
-Array = NDArray[np.float64]
 AXIS = BUILTIN_MACHINES["belt-axis"]()
 RIG = AXIS.replace({"x.mass": 1.1 * AXIS.parameters["x.mass"]})
-PERIOD = 1e-3  # s, of the controller
 ROWS = 1500
 RUNS = 6
 UPDATES = 4  # of the voltage from one row of the log to the next
 
 
 def controlled(seed: int) -> Recording:
-    """Return a run at the rate of a controller that reads the encoder of the motor, with its rounding errors."""
+    """Return a run of a controller that reads the encoder of the motor, with its rounding errors."""
     rng = np.random.default_rng(seed)
-    places = np.repeat(rng.uniform(-0.05, 0.05, 1 + ROWS // 250), 250)[:ROWS]
-    places[:100] = 0.0
-    window = np.hanning(60) / np.hanning(60).sum()
-    goal = np.convolve(places, window, "full")[:ROWS] / AXIS.coordinates[1].radius  # rad
-    speed = np.gradient(goal, PERIOD)
-    steps = np.array([sensor.resolution for sensor in AXIS.sensors])
+    angles = random_places(rng, ROWS) / AXIS.coordinates[1].radius
     noise = rng.normal(0.0, [sensor.noise for sensor in AXIS.sensors], (ROWS, 2))
-    state, last = np.zeros(4), 0.0
-    inputs, outputs = np.zeros((ROWS, 1)), np.zeros((ROWS, 2))
-    for row in range(ROWS):
-        exact = RIG.sensor_matrix @ state[:2] + noise[row] + 0.3 * steps
-        angle, outputs[row, 1] = np.round(exact[0] / steps[0]) * steps[0], exact[1]
-        outputs[row, 0] = angle
-        if row >= 100:
-            volts = 10.0 * (goal[row] - angle) + 0.05 * (speed[row] - (angle - last) / PERIOD)
-            inputs[row] = np.clip(volts, -12.0, 12.0)
-        last = angle
-        interval = np.array([0.0, PERIOD]), np.repeat(inputs[row : row + 1], 2, axis=0)
-        state = rollout(RIG, *interval, start=state, velocities=True, parallel=False)[0, -1]
-    return Recording(f"run_{seed}", np.arange(ROWS) * PERIOD, inputs, outputs)
+    return controlled_run(f"run_{seed}", RIG, angles, noise, window=60, gains=(10.0, 0.05))
 
 
 @cache
 def slow_log() -> Dataset:
     """Return logs with every fourth row of the runs."""
-    runs = map(controlled, range(RUNS))
-    logs = [Recording(r.name, r.time_s[::4], r.inputs[::4], r.outputs[::4]) for r in runs]
-    return prepare(logs, AXIS)
+    return prepare([every(controlled(seed), UPDATES) for seed in range(RUNS)], AXIS)
 
 
 @cache

@@ -7,53 +7,30 @@ from functools import cache
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from hframe_gym.data_validation.sampling import check_voltages_between_rows
-from hframe_gym.dynamics import rollout
 from hframe_gym.identification import Dataset, Fit, SelectionCriteria, default_free_parameters, fit, prepare
 from hframe_gym.identification.fit.voltage_updates import VoltageUpdates, voltage_updates
 from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH, SIMULATION, predict
 from hframe_gym.identification.validate.recording_simulation import simulate_recording
-from hframe_gym.machine import BUILTIN_MACHINES, Machine
+from hframe_gym.machine import BUILTIN_MACHINES
 from hframe_gym.preparation.voltage_updates import at_updates, update_times, updated_inputs
 from hframe_gym.recordings import Recording
+from tests.identification.controlled_runs import controlled_run, every, random_places
 
-Array = NDArray[np.float64]
 AXIS = BUILTIN_MACHINES["axis"]()
 RIG = AXIS.replace({"x.mass": 1.1 * AXIS.coordinates[0].mass, "x.coulomb": 0.8 * AXIS.coordinates[0].coulomb})
 NOISE = 5e-6  # m
-PERIOD = 1e-3  # s, of the controller
-SECONDS = 1.5
+ROWS = 1500
 
 
 @cache
-def controlled(seed: int, machine: Machine = RIG) -> Recording:
-    """Return a run at the rate of a controller that moves the axis from place to place and reads a noisy sensor."""
+def controlled(seed: int) -> Recording:
+    """Return a run of a controller that moves the axis from place to place and reads a noisy sensor."""
     rng = np.random.default_rng(seed)
-    rows = round(SECONDS / PERIOD)
-    noise = rng.normal(0.0, NOISE, rows)
-    places = np.repeat(rng.uniform(-0.05, 0.05, 1 + rows // 250), 250)[:rows]
-    places[:100] = 0.0
-    goal = np.convolve(places, np.hanning(120) / np.hanning(120).sum(), "full")[:rows]
-    speed = np.gradient(goal, PERIOD)
-    state, last = np.zeros(2), 0.0
-    inputs, outputs = np.zeros((rows, 1)), np.zeros((rows, 1))
-    for row in range(rows):
-        measured = state[0] + noise[row]
-        outputs[row] = measured
-        if row >= 100:
-            volts = 300.0 * (goal[row] - measured) + 5.0 * (speed[row] - (measured - last) / PERIOD)
-            inputs[row] = np.clip(volts, -12.0, 12.0)
-        last = measured
-        interval = np.array([0.0, PERIOD]), np.repeat(inputs[row : row + 1], 2, axis=0)
-        state = rollout(machine, *interval, start=state, velocities=True, parallel=False)[0, -1]
-    return Recording(f"run_{seed}", np.arange(rows) * PERIOD, inputs, outputs)
-
-
-def every(run: Recording, rows: int) -> Recording:
-    """Return a log with every such row of a run."""
-    return Recording(run.name, run.time_s[::rows], run.inputs[::rows], run.outputs[::rows])
+    noise = rng.normal(0.0, NOISE, (ROWS, 1))
+    places = random_places(rng, ROWS)
+    return controlled_run(f"run_{seed}", RIG, places, noise, window=120, gains=(300.0, 5.0))
 
 
 @cache
