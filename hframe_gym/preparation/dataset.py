@@ -19,8 +19,8 @@ from ..arrays import Array
 from ..machine import Machine
 from .encoder_zeros import EncoderZeros
 from .initial_state import model_initial_states
+from .interpolated_voltages import Interpolation
 from .rest_measurement import InitialState
-from .voltage_updates import Interpolation
 
 MIN_ROWS = 20  # rows of a run that the filters of the residual need
 

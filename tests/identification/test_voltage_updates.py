@@ -14,7 +14,7 @@ from hframe_gym.identification.fit.voltage_updates import VoltageUpdates, voltag
 from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH, SIMULATION, predict
 from hframe_gym.identification.validate.recording_simulation import simulate_recording
 from hframe_gym.machine import BUILTIN_MACHINES
-from hframe_gym.preparation.voltage_updates import at_updates, update_times, updated_inputs
+from hframe_gym.preparation.interpolated_voltages import at_updates, update_times, updated_inputs
 from hframe_gym.recordings import Recording
 from tests.identification.controlled_runs import controlled_run, every, random_places
 

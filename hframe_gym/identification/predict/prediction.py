@@ -25,8 +25,8 @@ from ...dynamics.simulation import Motion, threads
 from ...machine import Machine, carried_through_contacts
 from ...preparation.belt_stretch import rigid_basis
 from ...preparation.dataset import Dataset, PreparedRecording
+from ...preparation.interpolated_voltages import at_updates, update_times, updated_inputs
 from ...preparation.sensor_zeros import max_fitted_zero_means, max_zero_means, sensor_zero_error
-from ...preparation.voltage_updates import at_updates, update_times, updated_inputs
 
 T = TypeVar("T")
 SEARCH_BANDWIDTH = 60.0  # rad/s; confines the error of a wrong model to a few hundredths of a second

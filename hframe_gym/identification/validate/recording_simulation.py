@@ -17,6 +17,7 @@ from ...dynamics import resolved_step, simulate, simulate_batch
 from ...machine import Machine, Trajectory
 from ...preparation.encoder_zeros import EncoderZeros
 from ...preparation.initial_state import measured_initial_state, model_initial_states
+from ...preparation.interpolated_voltages import update_times, updated_inputs
 from ...preparation.rest_measurement import InitialState
 from ...preparation.sensor_zeros import (
     free_zeros,
@@ -27,7 +28,6 @@ from ...preparation.sensor_zeros import (
 )
 from ...preparation.session import prepare
 from ...preparation.usable import rest_and_noise, usable_run, without_saturated, without_unknown_voltage
-from ...preparation.voltage_updates import update_times, updated_inputs
 from ...recordings import Recording, fill_gaps
 from ..fit.lost_voltages import estimate_lost_voltages
 from ..fit.start_estimation import most_probable_start

@@ -1,4 +1,4 @@
-"""Voltages between the rows of a log that is slower than the controller.
+"""Interpolated voltages: what acts between the rows of a log that is slower than the controller.
 
 A log at 250 Hz has every fourth voltage of a controller at 1 kHz. Held from row to row, these voltages act 1.5 ms late,
 and a fit makes up for that by wrong masses and frictions. Between the rows, they are interpolated instead: by Akima's
