@@ -8,6 +8,7 @@ command line.
 |---|---|---|
 | `pid`, `predictive`, `adaptive-pid`, `textbook-pid` | zero-shot | designed from the declared machine |
 | `ppo_mix`, `apg_mix`, `residual`, `sac`, ... | zero-shot | shipped agents, with laws of the declared machine |
+| `NAME-drift` | zero-shot | NAME; its state estimator also estimates errors of the encoders, which wander slowly |
 | `NAME-refitted` | identified | NAME, designed from the machine whose own parameters are refitted |
 | `NAME-corrected` | identified | NAME, designed from the machine with the effects that identification found |
 | `NAME-posterior` | identified | the same; the state estimator begins with the posterior of the parameters |
@@ -43,6 +44,7 @@ from tests.reference_simulator import Array
 
 Trackname = Literal["zero-shot", "identified", "online"]
 MODELS = ("refitted", "corrected", "posterior")
+VARIANTS = ("drift", *MODELS, "online")
 # Relative standard deviation, added to the posterior: what identification cannot know, such as heat and wear.
 _FLOOR = 0.02
 
@@ -127,7 +129,10 @@ def sha256_of(entry: type[GapEntry]) -> str:
 
 
 def from_measurements(
-    controller: Controller, machine: Machine, covariance: Array | None = None
+    controller: Controller,
+    machine: Machine,
+    covariance: Array | None = None,
+    drifting_encoders: bool = False,
 ) -> Controller:
     """Combine a controller that needs the full state with a state estimator.
 
@@ -135,13 +140,15 @@ def from_measurements(
         controller: Controller from the full state.
         machine: Machine of the estimator.
         covariance: Covariance of the logarithms of the estimated parameters. Default: that of declared values.
+        drifting_encoders: Whether the estimator also estimates errors of the encoders, which wander slowly.
 
     Returns:
         Controller from the measurements of the plant.
     """
     observed = observed_machine(machine, "machine")
     assert observed is not None
-    return OutputFeedbackController(controller, StateEstimator(observed, PERIOD_S, covariance))
+    estimator = StateEstimator(observed, PERIOD_S, covariance, drifting_encoders)
+    return OutputFeedbackController(controller, estimator)
 
 
 def posterior_covariance(machine: Machine) -> Array | None:
@@ -247,6 +254,16 @@ class DeclaredMachine(DesignedEntry):
     @override
     def prepare(self, declared: Machine, recorder: Recorder, folder: Path) -> None:
         self.machine = declared
+
+
+class DriftingEncoders(DeclaredMachine):
+    """The machine is the declared one, and its state estimator takes the encoders for sensors that drift."""
+
+    knowledge = "declared machine, encoders may drift"
+
+    @override
+    def controller(self, task: Task) -> Controller:
+        return from_measurements(self.design(task), self.machine, drifting_encoders=True)
 
 
 class IdentifiedMachine(DesignedEntry):
@@ -393,7 +410,7 @@ def family(name: str) -> str:
 def entry_names() -> list[str]:
     """Return the names of the entries of the repository; NAME-seedN... is one of an agent with another seed than 0."""
     designs = [name for name in CONTROLLERS if not CONTROLLERS.get(name).set_points] + list(AGENTS)
-    variants = [f"{name}-{model}" for name in designs for model in (*MODELS, "online")]
+    variants = [f"{name}-{variant}" for name in designs for variant in VARIANTS]
     return [*designs, *variants, *(f"{agent}-trained" for agent in TRAINED)]
 
 
@@ -421,9 +438,10 @@ def get_entry(name: str) -> type[GapEntry]:
     base, _, variant = name.rpartition("-")
     if base in TRAINED and variant == "trained":
         return _made(name, TrainedAgent, recipes=TRAINED[base])
-    if variant not in (*MODELS, "online"):
+    if variant not in VARIANTS:
         base, variant = name, "declared"
-    machine = {"declared": DeclaredMachine, "online": OnlineMachine}.get(variant, IdentifiedMachine)
+    others = {"declared": DeclaredMachine, "drift": DriftingEncoders, "online": OnlineMachine}
+    machine = others.get(variant, IdentifiedMachine)
     settings = {"model": variant, "knowledge": f"{variant} machine"} if variant in MODELS else {}
     if base in CONTROLLERS:
         return _made(name, RegisteredController, machine, registered=base, **settings)

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.gap.entries import MODELS, family
+from benchmarks.gap.entries import VARIANTS, family
 from benchmarks.gap.plants import draw_plant
 from benchmarks.gap.protocol import DIGEST, EPISODES, PARTS
 from benchmarks.gap.results import PlantScore, compare, interval, plant_scores, read
 
 RESULTS = Path(__file__).parent / "results"
-STEPS = (*MODELS, "trained", "online")
+STEPS = (*VARIANTS, "trained")
 _MEASURES = {"reach": "settling_s", "circle": "circle_mm", "square": "square_mm"}
 
 Files = dict[str, list[dict[str, Any]]]  # result files by the name of the entry, one per seed of its agent

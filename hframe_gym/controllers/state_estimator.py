@@ -1,7 +1,8 @@
 """State estimation from sensors: a Kalman filter around the machine's simulator that also estimates parameters.
 
-The estimated vector holds travel and velocity of all coordinates, and the logarithms of the ratios of masses, friction,
-belt stiffness and motor constants to their declared values (`AugmentedParameters`). A belt mode covers a good part of
+The estimated vector holds travel and velocity of all coordinates, the logarithms of the ratios of masses, friction,
+belt stiffness and motor constants to their declared values (`AugmentedParameters`), and, if they may drift, the errors
+of the encoders. A belt mode covers a good part of
 its cycle between two measurements: velocities are observable only together with the belts' stiffness.
 
 Prediction    Second-order divided differences: the simulator maps points spread over the covariance, so that friction
@@ -9,6 +10,9 @@ Prediction    Second-order divided differences: the simulator maps points spread
               heat or a hysteresis, go on from their states at the mean.
 Correction    By the measurements within their sensors' ranges. A laser at the end of its range carries no information;
               encoders, and the belts' stretch under the estimated friction, then locate the tool.
+Encoders      What lies between an encoder and its belt (an eccentric pulley, a belt that creeps or climbs its teeth)
+              moves one against the other. Taken for stretch of the belt, 0.1 mm is a force of tens of newtons. With
+              `drifting_encoders`, the filter therefore estimates an error of each encoder, which wanders slowly.
 Robustness    Innovations larger than their covariance explains inflate it (fading memory), because a machine file is
               never complete.
 
@@ -47,6 +51,9 @@ INNOVATION_LIMIT = 4.0  # squared innovation over its expectation, above which t
 LARGEST_INFLATION = 1e4  # of variances, per period
 # Standard deviations beyond which travel (m) and velocity (m/s) are not inflated; for parameters the prior ones.
 LARGEST_STD = (0.1, 1.0)
+# Errors of encoders that may drift: standard deviation at the start of an episode, at rest, m;
+# their growth, m per square root of a second; and the limit of inflation, m: the eccentricity of a bad pulley.
+ENCODER_START, ENCODER_WALK, ENCODER_LARGEST = 5e-6, 2e-5, 2e-4
 # Smallest distance of the points (m, m/s, logarithm) at which differences of doubles still give a slope.
 SMALLEST_STD = (1e-8, 1e-6, 1e-5)
 
@@ -58,6 +65,8 @@ class StateEstimator:
         period: Control period, s.
         parameter_covariance: Covariance of the logarithms of the ratios of the k parameters `augmented.names` to their
             values in the machine, at the start of an episode, shape (k, k). Default: that of declared values.
+        drifting_encoders: Whether the sensors of coordinates other than the tool's axes have errors that wander slowly;
+            they are estimated as well. Useful where the machine file may lack effects between encoder and belt.
 
     Attributes:
         measurements: Measurement equation of the sensors.
@@ -68,7 +77,13 @@ class StateEstimator:
             position of the tool, the period is invalid, or the covariance has the wrong shape.
     """
 
-    def __init__(self, machine: Machine, period: float, parameter_covariance: Array | None = None) -> None:
+    def __init__(
+        self,
+        machine: Machine,
+        period: float,
+        parameter_covariance: Array | None = None,
+        drifting_encoders: bool = False,
+    ) -> None:
         machine = rigid_counterpart(machine)
         self.model = model = MotionModel(machine)
         self.period = check_period(period)
@@ -84,12 +99,22 @@ class StateEstimator:
         if parameter_covariance is not None:
             self.augmented.covariance = _checked_covariance(parameter_covariance, count)
         self._scale = np.tile(machine.travel_per_unit, 2)
-        self._smallest_std = np.repeat(SMALLEST_STD, [n, n, count])
-        self._initial_covariance = np.zeros((2 * n + count, 2 * n + count))
+        # Parts of the estimated vector: state, logarithms of parameter ratios, errors of encoders.
+        self._state, self._logarithms = slice(0, 2 * n), slice(2 * n, 2 * n + count)
+        self._error_of = self._encoders() if drifting_encoders else np.zeros((self.channels, 0))
+        drifting = self._error_of.shape[1]
+        self._errors = slice(2 * n + count, 2 * n + count + drifting)
+        self._smallest_std = np.repeat([*SMALLEST_STD, SMALLEST_STD[0]], [n, n, count, drifting])
+        self._initial_covariance = np.zeros((self._errors.stop,) * 2)
         self._initial_covariance[:n, :n] = INITIAL_STRETCH_STD**2 * np.eye(n)
-        self._initial_covariance[2 * n :, 2 * n :] = self.augmented.covariance
+        self._initial_covariance[self._logarithms, self._logarithms] = self.augmented.covariance
+        self._initial_covariance[self._errors, self._errors] = ENCODER_START**2 * np.eye(drifting)
         self._largest_variance = np.concatenate(
-            [np.repeat(LARGEST_STD, n) ** 2, np.diag(self.augmented.covariance)]
+            [
+                np.repeat(LARGEST_STD, n) ** 2,
+                np.diag(self.augmented.covariance),
+                np.full(drifting, ENCODER_LARGEST**2),
+            ]
         )
         self._keep = np.exp(-period / PARAMETER_MEMORY_S)
         self._process_noise = (1.0 - self._keep**2) * self._initial_covariance
@@ -98,7 +123,8 @@ class StateEstimator:
         std = np.concatenate(
             [0.5 * period * velocity_std, np.hypot(velocity_std, VELOCITY_NOISE * np.sqrt(period))]
         )
-        self._process_noise[: 2 * n, : 2 * n] = np.diag(std**2)
+        self._process_noise[self._state, self._state] = np.diag(std**2)
+        self._process_noise[self._errors, self._errors] = ENCODER_WALK**2 * period * np.eye(drifting)
         self._starts = EpisodeStarts()
         self._mean = np.zeros((0, len(self._initial_covariance)))
         self._covariance = np.zeros((0, *self._initial_covariance.shape))
@@ -107,13 +133,19 @@ class StateEstimator:
     @property
     def parameter_ratios(self) -> Array:
         """Estimated values of the k parameters `augmented.names` divided by the declared values, shape (B, k)."""
-        return self.augmented.ratios(self._mean[:, len(self._scale) :])
+        return self.augmented.ratios(self._mean[:, self._logarithms])
 
     @property
     def parameter_covariance(self) -> Array:
         """Covariance of the logarithms of the k parameter ratios, shape (B, k, k)."""
-        width = len(self._scale)
-        return self._covariance[:, width:, width:].copy()
+        return self._covariance[:, self._logarithms, self._logarithms].copy()
+
+    def _encoders(self) -> Array:
+        """Return the matrix (channels, encoders) that adds an error to each channel of a coordinate beside the tool."""
+        model = self.model
+        beside = [i for i in range(len(model.mass)) if i not in model.tool]
+        of_encoder = np.any(self.measurements.matrix[:, beside] != 0.0, axis=1)
+        return np.eye(self.channels)[:, of_encoder]
 
     def reset(self, mask: Mask | None = None) -> None:
         """Discard the estimates of the machines that start a new episode with their next measurements.
@@ -154,15 +186,14 @@ class StateEstimator:
         self._dead_time.reset(starts)
         travel, valid = self.measurements.to_travel(values), self.measurements.in_range(values)
         self._predict()
-        width = len(self._scale)  # of the state, 2 n; the logarithms of parameter ratios follow
         if starts.any():  # new episodes start at rest, with the declared parameters
             self._mean[starts] = 0.0
-            self._mean[starts, :width] = self._state_at_rest(travel, valid)[starts]
+            self._mean[starts, self._state] = self._state_at_rest(travel, valid)[starts]
             self._covariance[starts] = self._initial_covariance
             self._effects[starts] = 0.0
             self._starts.clear()
         self._correct(travel, valid)
-        return self._mean[:, :width].copy()
+        return self._mean[:, self._state].copy()
 
     def _state_at_rest(self, travel: Array, valid: Mask) -> Array:
         """Return states (B, 2 n) at rest with unstretched belts, by weighted least squares from the measurements.
@@ -183,51 +214,51 @@ class StateEstimator:
         """Propagate mean and covariance over the last period."""
         points = sigma_points(self._mean, self._covariance, self._smallest_std)
         batch, count, _ = points.shape
-        width = len(self._scale)
         flat = points.reshape(batch * count, -1)
         times, volts = self._dead_time.arrived_history()
         motion = simulate_batch(
             self._simulated,
             times,
             np.repeat(volts, count, axis=0),
-            parameters=self.augmented.parameters(flat[:, width:]),
-            start=np.hstack([flat[:, :width] / self._scale, np.repeat(self._effects, count, axis=0)]),
+            parameters=self.augmented.parameters(flat[:, self._logarithms]),
+            start=np.hstack([flat[:, self._state] / self._scale, np.repeat(self._effects, count, axis=0)]),
             longest_step=SIMULATION_STEP_S,
             readings=False,
             effects=True,
         )
         states = np.hstack([motion.positions[:, -1], motion.velocities[:, -1]])
-        points[:, :, :width] = (states * self._scale).reshape(batch, count, width)
+        points[:, :, self._state] = (states * self._scale).reshape(batch, count, -1)
         self._effects = motion.effects[::count, -1].copy()
-        points[:, :, width:] *= self._keep
+        points[:, :, self._logarithms] *= self._keep
         self._mean, covariance = transformed_moments(points)
         self._covariance = covariance + self._process_noise
 
     def _correct(self, travel: Array, valid: Mask) -> None:
         """Correct mean and covariance by the valid measurements (B, channels), m."""
-        width = len(self._scale)
-        matrix = self.measurements.matrix
-        mean = self._mean[:, :width]
-        innovation = np.where(valid, travel - self.measurements.deviation(mean) - mean @ matrix.T, 0.0)
+        matrix, state = self.measurements.matrix, self._mean[:, self._state]
+        predicted = self.measurements.deviation(state) + self._mean[:, self._errors] @ self._error_of.T
+        innovation = np.where(valid, travel - predicted - state @ matrix.T, 0.0)
         _, S = self._innovation_covariance(valid)
         size = np.einsum("bi,bi->b", innovation, np.linalg.solve(S, innovation[..., None])[..., 0])
         self._inflate(size / np.maximum(valid.sum(axis=1), 1))
         PH, S = self._innovation_covariance(valid)
         K = np.linalg.solve(S, PH.transpose(0, 2, 1)).transpose(0, 2, 1)
         self._mean = self._mean + np.einsum("bij,bj->bi", K, innovation)
-        self._mean[:, width:] = self.augmented.clip(self._mean[:, width:])
+        self._mean[:, self._logarithms] = self.augmented.clip(self._mean[:, self._logarithms])
         # Joseph's form keeps the covariance positive after corrections by almost exact measurements.
         reduction = np.tile(np.eye(K.shape[1]), (len(K), 1, 1))
-        reduction[:, :, :width] -= (K * valid[:, None, :]) @ matrix
+        reduction[:, :, self._state] -= (K * valid[:, None, :]) @ matrix
+        reduction[:, :, self._errors] -= (K * valid[:, None, :]) @ self._error_of
         noise = (K * self.measurements.variance) @ K.transpose(0, 2, 1)
         self._covariance = reduction @ self._covariance @ reduction.transpose(0, 2, 1) + noise
 
     def _innovation_covariance(self, valid: Mask) -> tuple[Array, Array]:
         """Return P H' (B, N, channels) and the innovation covariance (B, channels, channels)."""
-        matrix = self.measurements.matrix
+        matrix, error_of = self.measurements.matrix, self._error_of
         # An invalid measurement gets no gain: its covariance with the state is set to zero.
-        PH = self._covariance[:, :, : matrix.shape[1]] @ matrix.T * valid[:, None, :]
-        HPH = matrix @ PH[:, : matrix.shape[1]] * valid[:, :, None]
+        PH = self._covariance[:, :, self._state] @ matrix.T * valid[:, None, :]
+        PH += self._covariance[:, :, self._errors] @ error_of.T * valid[:, None, :]
+        HPH = (matrix @ PH[:, self._state] + error_of @ PH[:, self._errors]) * valid[:, :, None]
         return PH, HPH + np.diag(self.measurements.variance)
 
     def _inflate(self, innovation_ratio: Array) -> None:

@@ -111,6 +111,24 @@ def test_estimates_parameters_and_velocities_of_another_stage(hframe: Machine, s
         assert estimates[name] == pytest.approx(ratio, abs=0.2 if name.endswith("coulomb") else 0.05), name
 
 
+def test_encoders_that_drift_are_not_taken_for_stretched_belts(hframe: Machine) -> None:
+    """A belt creeps by 0.2 mm over its pulley in 0.6 s, which stretches nothing."""
+    volts, motion = random_motion(hframe, (0.05, -0.05), 60)
+    truth = true_states(hframe, motion)
+    crept = np.linspace(0.0, 2e-4, 61) / hframe.travel_per_unit[2]
+    wrong = {}
+    for drifting in (False, True):
+        measure = RigMeasurements(np.inf, 6)
+        estimator = StateEstimator(with_rig(hframe, np.inf), PERIOD, drifting_encoders=drifting)
+        for k in range(61):
+            positions = motion.positions[k : k + 1, :4] + [0.0, 0.0, crept[k], 0.0]
+            estimate = estimator.update(measure(positions))
+            estimator.send(volts[k : k + 1])
+        wrong[drifting] = np.abs(estimate[0, :4] - truth[-1, :4]).max()
+        assert estimator.parameter_ratios.shape == (1, len(estimator.augmented.names))
+    assert wrong[True] < 0.5 * wrong[False], wrong
+
+
 def test_follows_measurements_that_no_model_explains(hframe: Machine) -> None:
     """A stage at rest is displaced by 5 mm by hand; a filter without covariance inflation would follow slowly."""
     estimator, measure = StateEstimator(with_rig(hframe, np.inf), PERIOD), RigMeasurements(np.inf, 7)
