@@ -52,6 +52,14 @@ def write_new(folder: Path) -> None:
         remove_file(folder / "gone.txt")
 
 
+@pytest.mark.parametrize("below", ["out.txt", "deep/out.txt"])
+def test_a_file_where_a_folder_must_be_is_named(tmp_path: Path, below: str) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(NotADirectoryError, match="is a file, but must be a folder") as error:
+        write_text(tmp_path / "file" / below, "")
+    assert error.value.filename == str(tmp_path / "file")
+
+
 def test_a_failed_write_keeps_the_old_file_and_leaves_no_temporary_file(tmp_path: Path) -> None:
     path = tmp_path / "out.txt"
     write_text(path, "old")
