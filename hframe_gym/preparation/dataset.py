@@ -153,7 +153,8 @@ class Dataset:
         jitter: Standard deviation of the sampling times, s, which the noise of the runs includes; 0 if none is found.
         has_zero: False for sensors without a zero that a comparison may adapt, such as those of speeds and currents,
             shape (sensors,). None: all have one.
-        updates_settled: Whether a search takes the number of voltage changes a row as it is.
+        updates_rejected: Numbers of voltage changes a row that earlier searches assumed and found wrong, each with the
+            number of effects that were known when it was.
     """
 
     runs: tuple[PreparedRecording, ...]
@@ -163,7 +164,7 @@ class Dataset:
     zeros: EncoderZeros | None = None
     jitter: float = 0.0
     has_zero: NDArray[np.bool_] | None = None
-    updates_settled: bool = False
+    updates_rejected: Mapping[int, int] = field(default_factory=dict)
 
     @property
     def count(self) -> float:

@@ -130,6 +130,16 @@ def test_a_wrong_zero_of_an_encoder_behind_belts_leaves_no_white_residual() -> N
     assert np.sum(errors_of_run.whitening(SEARCH_BANDWIDTH)(wrong.reshape(1, -1)) ** 2) > 10.0
 
 
+def test_residuals_of_sensors_with_known_zeros_are_whitened_alone() -> None:
+    run = with_errors().runs[0].first_rows(203)
+    quantum, behind = np.full(2, 1e-6), np.zeros(2, bool)
+    known = dataclasses.replace(interpolated(), quantum=quantum, behind_belts=behind)
+    errors_of_run = InterpolationErrors(AXIS, run, known)
+    residual = np.random.default_rng(0).normal(size=(1, run.outputs.size))
+    white = errors_of_run.whiten(residual, SEARCH_BANDWIDTH)
+    np.testing.assert_array_equal(white, errors_of_run.whitening(SEARCH_BANDWIDTH)(residual))
+
+
 def test_the_errors_of_voltages_no_longer_make_a_pulley_too_heavy() -> None:
     """The voltage before a row contains the controller's answer to its rounding error."""
     fitted = continue_fit(least_squares(), with_errors(), NARROWEST_WITH_VOLTAGE_ERRORS)
@@ -148,7 +158,7 @@ def test_a_search_asks_again_how_often_the_voltages_change() -> None:
     with pytest.raises(VoltagesChangeError) as raised:
         require_updates(fitted, more, criteria)
     assert raised.value.updates.per_row == UPDATES
-    require_updates(fitted, dataclasses.replace(more, updates_settled=True), criteria)
+    require_updates(fitted, dataclasses.replace(more, updates_rejected={UPDATES: 0}), criteria)
     right = continue_fit(least_squares(), with_errors(), NARROWEST_WITH_VOLTAGE_ERRORS)
     require_updates(right, with_errors(), criteria)
 

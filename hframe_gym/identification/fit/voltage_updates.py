@@ -80,10 +80,9 @@ def require_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> 
         criteria: Decision thresholds.
 
     Raises:
-        VoltagesChangeError: If they change clearly more or less often than the predictions assume.
+        VoltagesChangeError: If they change clearly more or less often than the predictions assume. An earlier search
+            that rejected that number holds unless it knew fewer effects, without which the count is wrong.
     """
-    if data.updates_settled:
-        return
     if not data.has_voltage_errors:
         updates = voltage_updates(fitted, data, criteria)
     else:
@@ -94,7 +93,8 @@ def require_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> 
         counted = continue_fit(fitted, data.with_updates(per_row), fitted.bandwidth)
         held = continue_fit(fitted, data.with_held_voltages(), SEARCH_BANDWIDTH)
         updates = VoltageUpdates(per_row, held.chi2, counted.chi2)
-    if updates.per_row != data.updates:
+    rejected_with = data.updates_rejected.get(updates.per_row, -1)  # effects
+    if updates.per_row != data.updates and len(fitted.machine.effects) > rejected_with:
         raise VoltagesChangeError(fitted.machine, updates)
 
 

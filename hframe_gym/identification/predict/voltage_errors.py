@@ -198,9 +198,7 @@ class Whitening(NamedTuple):
         white = np.empty_like(residual)
         for first in range(0, blocks, _BLOCKS_TOGETHER):
             part = slice(first, first + _BLOCKS_TOGETHER)
-            values = (self.factors[part].astype(float) @ windows[part].swapaxes(1, 2)).reshape(
-                -1, len(residual)
-            )
+            values = np.concatenate(self.factors[part].astype(float) @ windows[part].swapaxes(1, 2))
             begin = first * of_block
             end = min(begin + len(values), residual.shape[1])
             white[:, begin:end] = values[: end - begin].T
@@ -274,7 +272,7 @@ class InterpolationErrors(VoltageErrors):
         free = np.flatnonzero(np.isinf(limits) & (run.weights.sum(axis=0) > 0.0))
         responses = np.zeros((len(free), *scales.shape))
         responses[np.arange(len(free)), :, free] = (scales[:, free] / scales[:, free].max(axis=0)).T
-        return responses.reshape(len(free), -1)
+        return responses.reshape(len(free), scales.size)
 
     def responses(self, bandwidth: float) -> sparse.csr_array:
         """Return the change of the residual by errors of one standard deviation, shape (n * sensors, errors).

@@ -54,9 +54,6 @@ _BETWEEN_ROWS = (
     "interpolates them with --updates {}."
 )
 
-# Searches with another number of voltage changes a row: first none is seen, then too many while effects are missing.
-_MOST_RESTARTS = 2
-
 
 class CheckedOutcome(NamedTuple):
     """Outcome of a search in the fitted runs, and what the held-out runs say about it.
@@ -176,22 +173,23 @@ def _search_and_check(
         refitted = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
     updates, known = voltage_updates(refitted, data, criteria), machine
     search = partial(_search, machine, refitted=refitted, criteria=criteria, log=log, budget=budget)
-    for restarts in range(_MOST_RESTARTS + 1):
+    rejected: dict[int, int] = {}
+    while True:
         fitted, validation, messages = data, held_out, (*unused, *excluded)
         if updates.per_row > 1:
             changes = updates.describe(data.period)
             log(f"{changes}; they are interpolated")
             fitted, validation = _interpolated(known, updates.per_row, data, held_out, log)
             messages = (*messages, _BETWEEN_ROWS.format(changes, updates.per_row))
-        fitted = dataclasses.replace(fitted, updates_settled=restarts == _MOST_RESTARTS)
+        fitted = dataclasses.replace(fitted, updates_rejected=rejected.copy())
         # The errors of voltages between all rows of a long log would need too much memory.
         complete = all_rows if in_part and updates.per_row == 1 else None
         try:
             found = search(fitted, validation, complete)._replace(messages=messages)
             return found if different is None else found.without_run(different)
         except VoltagesChangeError as change:
+            rejected[updates.per_row] = len(change.machine.effects)
             updates, known = change.updates, change.machine
-    raise AssertionError("the last search asks for no other number of changes")
 
 
 def _different_run(
