@@ -7,7 +7,6 @@ than all of them.
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable
 from typing import Any
 
@@ -69,7 +68,11 @@ class AveragedSAC(SAC):
     @override
     def _setup_model(self) -> None:
         super()._setup_model()
-        self._averaged_policy = copy.deepcopy(self.policy)
+        with torch.random.fork_rng(devices=[]):  # the run draws what it draws without an average
+            self._averaged_policy = self.policy_class(
+                self.observation_space, self.action_space, self.lr_schedule, **self.policy_kwargs
+            ).to(self.device)
+        self._averaged_policy.load_state_dict(self.policy.state_dict())
 
     @override
     def train(self, gradient_steps: int, batch_size: int = 64) -> None:
