@@ -26,7 +26,7 @@ IN_RESULTS = (
     "env_soak",
     "identification examples all",
     "random_rigs --seed 20270501 --count 59",
-    "random_rigs --closed-loop --seed 20270126 --count 16",
+    "random_rigs --closed-loop --seed 20270621 --count 29",
     "public_axes",
     "closed_loop_rigs",
     "outside_library --seed 3",
