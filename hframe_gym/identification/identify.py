@@ -138,4 +138,7 @@ def _without_silent_runs(
     statements = tuple(_SILENT.format(name, other) for name, other in not_fitted.items())
     for statement in statements:
         log(statement)
-    return session.data.with_runs([r.name for r in session.data.runs if r.name not in not_fitted]), statements
+    names = [run.name for run in session.data.runs if run.name not in not_fitted]
+    if not set(names) - set(held_names):
+        raise InputError(f"no run is left to fit; hold out fewer, or record more. {' '.join(statements)}")
+    return session.data.with_runs(names), statements

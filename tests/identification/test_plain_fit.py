@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from hframe_gym.effects import EFFECTS
+from hframe_gym.errors import InputError
 from hframe_gym.identification import SelectionCriteria, identify, prepare
 from hframe_gym.identification.budget import Budget
 from hframe_gym.identification.fit.estimation import prediction_cost
@@ -135,6 +136,16 @@ def test_a_term_that_the_held_out_run_refutes_is_removed_from_the_plain_fit() ->
     assert result.plain.terms == ()
     assert any(w.startswith("Not used: nothing moves in run_05, although run_01") for w in result.excluded)
     assert [run.name for run in result.fitted.runs] == [run.name for run in fitted]
+
+
+def test_fitted_runs_that_all_should_move_are_refused() -> None:
+    """Something blocked the axis in all runs that are fitted, so that it only trembled."""
+    moved = measure(axis(TRUE), runs=2)
+    blocked = [dataclasses.replace(r, name=f"{r.name}_blocked", outputs=2e-3 * r.outputs) for r in moved]
+    with pytest.raises(
+        InputError, match=r"no run is left to fit.*nothing moves in run_01_blocked, although run_"
+    ):
+        identify([*moved, *blocked], axis(TRUE), held_out=["run_01", "run_02"], budget=0.0)
 
 
 def test_the_declared_machine_is_delivered_where_the_fitted_runs_mislead() -> None:
