@@ -143,17 +143,21 @@ def _starts(run: PreparedRecording, rows: int, data: Dataset) -> list[int]:
 
 
 def _at_rest(run: PreparedRecording, data: Dataset) -> NDArray[np.bool_]:
-    """Return for each row whether no voltage is applied and no sensor moves from there on for some time."""
+    """Return for each row whether no voltage is applied and no sensor moves from there on for some time.
+
+    Sensors without any measurement in the run say nothing; one that only pauses may hide a motion.
+    """
     count = max(2, round(_REST_S / data.period))
-    tolerance = _NOISE_AT_REST * data.noise + _STEPS_AT_REST * data.quantum
-    driven = np.abs(run.inputs)
-    low = np.hstack([np.where(np.isfinite(run.outputs), run.outputs, np.inf), -driven])
-    high = np.hstack([np.where(np.isfinite(run.outputs), run.outputs, -np.inf), driven])
+    present = np.isfinite(run.outputs).any(axis=0)
+    outputs, driven = run.outputs[:, present], np.abs(run.inputs)
+    tolerance = (_NOISE_AT_REST * data.noise + _STEPS_AT_REST * data.quantum)[present]
+    low = np.hstack([np.where(np.isfinite(outputs), outputs, np.inf), -driven])
+    high = np.hstack([np.where(np.isfinite(outputs), outputs, -np.inf), driven])
     ahead = -(count // 2)  # the window of a row consists of the rows that follow
     highest = maximum_filter1d(high, count, axis=0, origin=ahead)
     lowest = minimum_filter1d(low, count, axis=0, origin=ahead)
     span = highest - lowest
-    return np.all((span <= np.concatenate([tolerance, 0.0 * driven[0]])) & (span >= 0.0), axis=1)
+    return np.all((span <= np.concatenate([tolerance, np.zeros(driven.shape[1])])) & (span >= 0.0), axis=1)
 
 
 def _part(run: PreparedRecording, start: int, rows: int, machine: Machine) -> PreparedRecording:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from functools import partial
 
@@ -70,6 +71,14 @@ def test_the_part_resembles_the_whole_run_and_begins_at_rest_where_it_is() -> No
     # Positions are those of the whole run, so that forces that depend on them are found where they act.
     np.testing.assert_allclose(part.outputs, whole.outputs[start : start + 3000], atol=1e-12)
     assert part.initial_state(AXIS)[0] == pytest.approx(whole.outputs[start : start + 100].mean(), abs=1e-5)
+
+
+def test_a_sensor_that_was_not_measured_hides_no_rest() -> None:
+    machine = AXIS.replace(sensors=(*AXIS.sensors, dataclasses.replace(AXIS.sensors[0], channel="other_m")))
+    run = run_of("run", np.concatenate([sine(3.0, 0.5, 1.5), np.tile(sine(3.0, 4.0, 6.0), 3)]))
+    outputs = np.hstack([run.outputs, np.full_like(run.outputs, np.nan)])
+    data = prepare([dataclasses.replace(run, outputs=outputs)], machine)
+    assert representative_part(data, machine, size=3000).runs[0].initial.resting_rows > 100
 
 
 def test_of_many_runs_those_that_differ_are_used_and_none_that_stands_still() -> None:
