@@ -251,10 +251,10 @@ def _search(
         refitted=known,
     )
     if all_rows is not None:
-        outcome = without_unconfirmed(
-            outcome, all_rows, log
-        )  # like held-out runs, other rows can only remove
-        outcome = fitted_to_all_rows(outcome, start, all_rows, criteria, log, budget)
+        agreeing = all_rows.with_runs([r.name for r in all_rows.runs if r.name != outcome.contradiction])
+        # Like held-out runs, other rows can only remove effects.
+        outcome = without_unconfirmed(outcome, agreeing, log)
+        outcome = fitted_to_all_rows(outcome, start, agreeing, criteria, log, budget)
     differing = _contradicting_runs(outcome, held_out)
     return CheckedOutcome(outcome, held_out, differing, plain=plain)
 

@@ -144,7 +144,7 @@ def fitted_to_all_rows(
     Args:
         found: Outcome of a search in a part of the rows.
         machine: Machine from which the search started.
-        data: All runs to fit.
+        data: All rows of the runs to fit, without the run that the search left out.
         criteria: Decision thresholds.
         log: Called with a line at each stage.
         budget: Processor time of the identification.
@@ -152,12 +152,11 @@ def fitted_to_all_rows(
     Returns:
         Outcome with the machines that all rows determine; `found`, unfinished, if the budget ended before.
     """
-    names = [run.name for run in data.runs if run.name != found.contradiction]
     try:
         with budget.limiting(ALL_ROWS_PART):
             spend("fitting all rows")
             log("fitting all rows")
-            complete = estimate_lost_voltages(data.with_runs(names), found.after.machine)
+            complete = estimate_lost_voltages(data, found.after.machine)
             before = polish(found.before, complete)
             wide = continue_fit(before, complete, SEARCH_BANDWIDTH)
             outcome = _Search(machine, complete, criteria, log, wide, before).fitted(found)
@@ -319,10 +318,7 @@ class _Search:
                 continue_fit(found.after, self._data_after, found.after.bandwidth), self._data_after
             )
         # The search has chosen their observers.
-        self._refinements += [
-            (self.before, self.before),
-            (after, after),
-        ]
+        self._refinements += [(self.before, self.before), (after, after)]
         if decided := self._decided(after, effects, found.considered):
             return decided
         if any(s.effect.definition.family == TABLE_FAMILY for s in effects):
