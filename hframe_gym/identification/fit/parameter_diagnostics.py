@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ...arrays import Array
 from ...machine import Machine, Uncertainty
-from ..predict.free_parameters import default_free_parameters
+from ..predict.free_parameters import FreeParameter, default_free_parameters
 
 # Thresholds beyond which a parameter is reported as doubtful.
 _POOR_RELATIVE_STD = 0.2
@@ -19,9 +19,8 @@ _HIGH_CORRELATION = 0.95
 # A standard deviation beyond this fraction of the prior's: the data hardly added to the declared value.
 _PRIOR_DOMINATES = 0.6
 _BOUND_TOLERANCE = 1e-6  # relative
-_UNDECLARED_STDS = (
-    4.0  # standard deviations of its prior beyond which friction that is declared as zero is reported
-)
+# Standard deviations of its prior beyond which friction that is declared as zero is reported.
+_UNDECLARED_STDS = 4.0
 _CLEAR_DAMPING = 2.0  # factor between fitted and declared damping, from which on the file is called wrong
 _COMPATIBLE_STDS = 2.0  # standard deviations within which a value may equal the declared one
 # Parameters that users know to within a factor of two; friction and back-EMF may be a fraction of the declared value.
@@ -278,7 +277,7 @@ def parameters_at_limit(machine: Machine, declared: Machine) -> dict[str, str]:
             )
         elif parameter.beyond_limit(parameter.theta(value)):
             what = parameter.name
-            if damping := _damping_ratio(parameter.name, machine, declared):
+            if damping := _damping_ratio(parameter, machine, declared):
                 what, ratio = damping[0], f"{damping[1]:.2g}"
                 named = any(text.startswith(what) for text in described.values())
                 if named or 1.0 / _CLEAR_DAMPING < damping[1] < _CLEAR_DAMPING:
@@ -300,13 +299,13 @@ def parameters_at_limit(machine: Machine, declared: Machine) -> dict[str, str]:
     return dict(sorted(described.items(), key=lambda item: not _is_known(item[0])))
 
 
-def _damping_ratio(name: str, machine: Machine, declared: Machine) -> tuple[str, float] | None:
+def _damping_ratio(parameter: FreeParameter, machine: Machine, declared: Machine) -> tuple[str, float] | None:
     """Return the words for the damping to which a parameter belongs, and its ratio to the declared one.
 
     Viscous friction and back-EMF act alike, so that only their sum can contradict the machine file.
     """
-    owner, _, key = name.rpartition(".")
-    if key not in ("viscous", "Ke"):
+    owner, _, key = parameter.name.rpartition(".")
+    if parameter.of_effect or key not in ("viscous", "Ke"):
         return None
     coordinate = next((d.coordinate for d in declared.drives if d.name == owner and key == "Ke"), owner)
 
