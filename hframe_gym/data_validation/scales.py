@@ -50,11 +50,8 @@ _SPEED_CORRELATION = 0.9  # of a column that is a speed with the simulated speed
 _POSITION_CORRELATION = 0.5  # largest correlation of its changes with the simulated speed
 # Factors of a time in another unit: milliseconds, hundredths, minutes, or a wrong rate.
 _CLOCK_FACTORS = (10.0, 60.0, 100.0, 1000.0, 0.1, 0.01, 0.001)
-_CLOCK_UNITS = {
-    1000.0: "ms",
-    60.0: "s",
-    0.001: "s",
-}  # true unit of the times, by factor; other factors are wrong rates
+# True unit of the times by factor; other factors are wrong rates.
+_CLOCK_UNITS = {1000.0: "ms", 60.0: "s", 0.001: "s"}
 # Factor between the fitted viscous friction and the clock's; twice as wide for the inertia.
 _CLOCK_TOLERANCE = 1.6
 

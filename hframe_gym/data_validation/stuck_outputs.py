@@ -21,10 +21,8 @@ _MOVES = 0.1  # fraction of a channel's span in the run; a channel that should h
 _STRETCH_MARGIN = 2.0  # factor by which the declared friction, drives and stiffness may be wrong
 # Peak-to-peak noise in standard deviations; about that of 20 000 normally distributed samples.
 NOISE_SPAN = 8.0
-_MIN_PAIRS, _MAX_EQUAL = (
-    30,
-    0.01,
-)  # successive measurements at rest, and fraction of equal ones, of a noisy sensor
+# Pairs of successive measurements at rest, at least, and fraction of equal ones, at most, of a noisy sensor.
+_MIN_PAIRS, _MAX_EQUAL = 30, 0.01
 # Multiple of the declared friction and fraction of the rated force that certainly move a coordinate, and the fraction
 # of an interval in which they act in each direction.
 _PUSH, _RATED_PUSH, _MIN_PUSHED = 5.0, 0.2, 0.1

@@ -77,7 +77,7 @@ class PreparedRecording:
         observer_bandwidth: Bandwidth of the observer that corrects predictions of this run by the measurements, rad/s;
             None: that of the prediction or fit.
         updates: How many times the voltages change from one row to the next: more than once if the controller is faster
-            than the log. They are then interpolated between the rows (`voltage_updates`).
+            than the log. They are then interpolated between the rows (`interpolated_voltages`).
         interpolation: How they are interpolated.
         voltage_errors: What is known of the errors of interpolated voltages; None if the voltages are held.
     """

@@ -24,10 +24,7 @@ SMOOTHING_TIME = 1.0 / 60.0
 # The median of |u[k+1] - 2 u[k] + u[k-1]| of white noise is this multiple of its standard deviation.
 _MEDIAN_SECOND_DIFFERENCE = 0.6745 * np.sqrt(6.0)
 # Ends of the names of inputs that may be measured; voltages are commands as a rule.
-_FORCE_UNITS = (
-    "A",
-    "Nm",
-)
+_FORCE_UNITS = ("A", "Nm")
 
 
 def noise_of_input(values: Array) -> float:

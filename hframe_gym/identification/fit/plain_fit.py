@@ -59,9 +59,8 @@ _TERM_PRIOR = 10.0  # in typical sizes of a term
 # Points at which a simulation is compared, and the best of them from which it is fitted, where nothing else leads to
 # the solution. On CED, three of 32 fitted points reach the minimum, and one of the best 16 of 64.
 _POINTS, _FITTED_POINTS = 64, 16
-_POINTS_SPREAD = (
-    1.5  # of logarithms, to either side; of other parameters in multiples of their scale, from 0 to twice
-)
+# Of logarithms, to either side; other parameters extend from 0 to twice as many multiples of their scale.
+_POINTS_SPREAD = 1.5
 # Fraction of the squared error that a term (offset, weight, delay) must remove beside inertia and friction.
 _LEAST_GAIN = 0.02
 

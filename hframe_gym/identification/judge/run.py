@@ -119,12 +119,15 @@ def differs_in_a_parameter(suspect: str, different_run: str | None, chi2: float,
 
 
 def differs_alone(different_run: str | None, chi2: float, chi2_before: float) -> str | None:
-    """Return the name of the only run that needs another value of a quantity, if no effect is likely to say why.
+    """Return the name of the only run that needs another value of a quantity, if the run is more likely wrong.
+
+    It is if one value for all runs leaves far more than a value in each. An effect that only this run excites raises
+    the error less.
 
     Args:
         different_run: Name of the run; None if several differ.
         chi2: Chi-squared per sample of all runs with a value of the quantity in each, dimensionless.
-        chi2_before: That with one value for all runs, dimensionless. An effect that one run excites leaves less.
+        chi2_before: That with one value for all runs, dimensionless.
     """
     return different_run if chi2_before > FAR * chi2 else None
 

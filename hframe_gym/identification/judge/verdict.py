@@ -229,9 +229,9 @@ class DriftEvidence:
     """Effects that may differ from run to run, compared with a parameter that has another value in each run.
 
     Attributes:
-        unknowns: Parameters of the effects that are functions of time or begin each run in an unknown state, and these
-            states; 0 if there is no such effect.
-        values: Differences between the runs, one less than the runs.
+        unknowns: Number of parameters of the effects that are functions of time or begin each run in an unknown state,
+            plus the number of these states; 0 if there is no such effect.
+        values: Number of values that differ from the first run's, one less than the number of runs.
         explained: Function that returns whether the machine with effects explains the data in simulation.
         wide: Function that returns its error with the widest observer.
         by_run: Function that returns the error with that observer and another value in each run, in place of these

@@ -30,13 +30,8 @@ from .screening import ScoredCandidate, resemblances, screen, screen_structures
 # Effects that are fitted in place of a selected one because these runs may not distinguish them.
 _RESEMBLING = 3
 _SHAPES = 2  # starting values of an effect at a site that are fitted
-# Changes of its logarithm; a trial is also fitted from these thresholds.
-_THRESHOLD_CHANGES = (
-    -0.7,
-    -0.35,
-    0.35,
-    0.7,
-)
+# Changes of the logarithm of a threshold; a trial is also fitted from these thresholds.
+_THRESHOLD_CHANGES = (-0.7, -0.35, 0.35, 0.7)
 _TRIAL_ITERATIONS, _TRIAL_TOLERANCE = 8, 1e-3  # a trial need not converge fully to be ranked
 
 
@@ -88,10 +83,7 @@ def _trial_fits_from(
         return trials
     scales, ranked = _ranked_candidates(start, data)
     # Largest linearized gain of a candidate that explains the data, and its effect.
-    best_promise, explaining = (
-        0.0,
-        "",
-    )
+    best_promise, explaining = 0.0, ""
     promising = _promising(start, ranked, data, enough, criteria)
     for i, scored in enumerate(promising):
         # Where a candidate explains the data, only its possible rivals are fitted as well: those with a similar gain,

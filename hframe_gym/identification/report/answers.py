@@ -20,23 +20,22 @@ from .units import readable_unit
 
 # Error in percent of the motion that is small: a feed-forward control by the machine removes the other 99 %.
 _SMALL_PERCENT_OF_MOTION = 1.0
-_MAIN_PART = (
-    0.5  # Of the squared simulation error; effects that remove less are named for what observers show.
-)
+# Fraction of the squared simulation error; effects that remove less are named for what observers show.
+_MAIN_PART = 0.5
 _NOTICEABLE_ERROR = 1.3  # Remaining error over noise that the report calls unexplained.
 _DIVERGES = "infinitely many (its simulation diverges)"
 _DEVIATING = (
     "Only {} deviate{}: the other sensors agree with the simulation, although they would show an error of the motion. "
     "The cause lies at this sensor, its mounting or frame, or in an elastic part between it and the motors."
 )
-_CLEARLY_BETTER = (
-    0.9  # Fraction of the refitted machine's error below which that of the declared one is mentioned.
-)
+# Fraction of the refitted machine's error below which that of the declared one is mentioned.
+_CLEARLY_BETTER = 0.9
 # A simulation whose error is beyond both has drifted: times the noise, and percent of the motion before or after.
 _MAX_NOISE_RATIO, _MAX_PERCENT_OF_MOTION = 50.0, 50.0
 _BY_INSTRUMENTS = (
     "The parameters and their standard deviations come from a fit by instruments (smoothed voltages and measurements), "
-    "which simulates the fitted runs better than a fit to the residual that the voltages' statistics make white."
+    "which simulates runs to which it was not fitted better than a fit to the residual that the voltages' statistics "
+    "make white."
 )
 _CHANGED_STDS = 3.0  # Standard deviations beyond which a parameter differs from its declared value.
 _NAMED_CHANGES = 3  # Parameters that are named, those first that changed most.
@@ -129,7 +128,8 @@ def removed_by_effects(report: Mapping[str, Any]) -> list[str]:
         f"The effects remove {percent(max(explained, 0.0))} % of the squared error beyond the noise on runs to which "
         "nothing was fitted."
     )
-    at_noise = (report.get("left") or math.inf) <= SelectionCriteria().max_noise_ratio_explained
+    left = report.get("left")
+    at_noise = left is not None and left <= SelectionCriteria().max_noise_ratio_explained
     if explained >= _MAIN_PART or at_noise:
         return [removed]
     slow = "A slower cause that no effect explains adds up to the rest; they are named by the fast errors."
