@@ -1,4 +1,8 @@
-"""Simulation of machines over voltage histories: one machine, or a batch of machines with the same structure."""
+"""Simulation of machines over voltage histories: one machine, or a batch of machines with the same structure.
+
+`simulate` checks its arguments and the motion of one machine, and adds names to it. `simulate_batch` simulates many
+machines at once, and `rollout` returns its positions as one array; neither checks anything.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +19,7 @@ from numpy.typing import ArrayLike
 from ..arrays import Array, ParameterRows, Times
 from ..machine import Machine, Trajectory, rest_state
 from ..operating_system import cores
-from .codegen.kernel import Kernel, kernel_for
+from .codegen.kernel import kernel_for
 from .codegen.machine_code import LANES
 from .physics.effect_instances import instances_with_state
 
@@ -23,8 +27,6 @@ MOST_STEPS = 1_000_000_000  # of one simulation; it takes minutes
 LONGEST_STEP = 0.25e-3  # s; 0.2 um median error over 0.4 s of random voltages (benchmarks/accuracy.py)
 
 _DIVERGED = 1e6  # m, rad, or per second; no machine of this kind gets anywhere near
-
-_NO_SERIES = np.zeros((0, 0, 0))
 
 
 class NotFiniteError(ArithmeticError):
@@ -76,13 +78,13 @@ def parameter_batch(machine: Machine) -> ParameterRows:
 
 
 class Motion(NamedTuple):
-    """Motion of B machines at n common sample times; arrays that were not requested are empty.
+    """Motion of B machines at N common sample times; arrays that were not requested are empty.
 
     Attributes:
-        positions: Positions, m or rad, shape (B, n, coordinates).
-        velocities: Velocities, m/s or rad/s, shape (B, n, coordinates).
-        readings: Noise-free sensor readings in the channels' units, shape (B, n, sensors).
-        effects: States of the effects, SI, in the order of the machine's effects, shape (B, n, states).
+        positions: Positions, m or rad, shape (B, N, coordinates).
+        velocities: Velocities, m/s or rad/s, shape (B, N, coordinates).
+        readings: Noise-free sensor readings in the channels' units, shape (B, N, sensors).
+        effects: States of the effects, SI, in the order of the machine's effects, shape (B, N, states).
     """
 
     positions: Array
@@ -111,8 +113,10 @@ def simulate_batch(
 
     Args:
         machine: One of the machines; it gives the equations of motion and the default parameters.
+        time_s: Sample times of all machines, s, strictly increasing, shape (N,).
         inputs: Voltages, V, held from each sample until the next, shape (N, drives) for all machines or (B, N, drives).
-        parameters: Parameters of the machines. Default: by `machine`.
+        parameters: Parameters in the order of `machine.parameters`, SI, shape (B, parameters), or (1, parameters) for
+            all machines. Default: those of `machine`.
         start: Positions (m, rad), then velocities (m/s, rad/s), at the first sample, shape (2 * coordinates,) or
             (B, 2 * coordinates); default: at rest at the origin. States of the effects (SI, in the order of the
             machine's effects) may follow in further columns; without them they are zero.
@@ -129,43 +133,66 @@ def simulate_batch(
         parallel: Whether to distribute the machines over threads; False if the caller does so.
 
     Returns:
-        The motion, arrays of shape (B, N, ...); diverged motions have NaN or large values.
+        The motion; where it diverges, it has NaN or large values.
     """
-    parameters = parameter_batch(machine) if parameters is None else parameters
-    # The compiled functions work in belt travel: position * radius.
     count, radii = len(machine.coordinates), machine.travel_per_unit
     kernel = kernel_for(machine, forced=extra_force is not None)
+    # The kernel works in belt travel, m: position times radius, and its rate.
+    to_travel = np.tile(radii, 2)
     given = np.atleast_2d(rest_state(machine) if start is None else start)
-    # States, also of effects; accelerations and currents, if measured.
-    start = np.zeros((len(given), kernel.states - 1))
-    start[:, : given.shape[1]] = given
-    start[:, : 2 * count] *= np.tile(radii, 2)
-    inputs, force, observed = _series(inputs), _series(extra_force), _series(measured)
-    batch = max(map(len, (inputs, parameters, start, force, observed)))
-    parameters = _rows(parameters, batch)
-    travel = _rows(start, batch)
-    force = np.ascontiguousarray(force / radii) if len(force) else np.zeros((1, len(time_s), count))
-    gains = np.zeros((2 * count, len(machine.sensors))) if gains is None else gains
-    travel_gains = gains * np.tile(radii, 2)[:, None]
-    grid = np.ascontiguousarray(time_s, float)
-    rows = kernel.states if effects else 2 * count  # travel, its rate, time, states of effects
-    out = np.empty((batch, len(grid), rows)) if states else _NO_SERIES
-    outputs = np.empty((batch, len(grid), len(machine.sensors))) if readings else _NO_SERIES
-    arguments = (grid, inputs, parameters, travel, observed, travel_gains, force, longest_step)
-    _run_kernel(kernel, arguments, out, outputs, blocks=-(-batch // LANES), parallel=parallel)
-    moving = out[..., : 2 * count]
-    moving /= np.tile(radii, 2) if states else 1.0
-    return Motion(moving[..., :count], moving[..., count:], outputs, out[..., 2 * count + 1 :])
+    first_states = np.zeros((len(given), kernel.states - 1))  # a row of the kernel's state also has the time
+    first_states[:, : given.shape[1]] = given
+    first_states[:, : 2 * count] *= to_travel
+    parameters = parameter_batch(machine) if parameters is None else parameters
+    inputs, force, measurements = _series(inputs), _series(extra_force), _series(measured)
+    batch = max(map(len, (inputs, parameters, first_states, force, measurements)))
+    first_states, parameters = _one_row_each(first_states, batch), _one_row_each(parameters, batch)
+    time = np.ascontiguousarray(time_s, float)
+    force = np.ascontiguousarray(force / radii) if len(force) else np.zeros((1, len(time), count))
+    travel_gains = (
+        np.zeros((2 * count, len(machine.sensors))) if gains is None else gains * to_travel[:, None]
+    )
+    # Travel, its rate, and, if the states of effects follow, the time between.
+    width = kernel.states if effects else 2 * count
+    state_series = np.empty((batch if states else 0, len(time), width))
+    reading_series = np.empty((batch if readings else 0, len(time), len(machine.sensors)))
+
+    def simulate_blocks(first: int, end: int) -> None:
+        kernel.rollout(
+            time,
+            inputs,
+            parameters,
+            first_states,
+            measurements,
+            travel_gains,
+            force,
+            longest_step,
+            first,
+            end,
+            state_series,
+            reading_series,
+        )
+
+    blocks = -(-batch // LANES)
+    if parallel:
+        in_parallel(simulate_blocks, blocks)
+    else:
+        simulate_blocks(0, blocks)
+    moving = state_series[..., : 2 * count]
+    moving /= to_travel
+    return Motion(
+        moving[..., :count], moving[..., count:], reading_series, state_series[..., 2 * count + 1 :]
+    )
 
 
 def _series(values: Array | None) -> Array:
-    """Add the batch axis to an array over samples where it lacks: shape (1 or B, n, k), empty for None."""
+    """Return values over samples with a batch axis, shape (1 or B, N, k); none, shape (0, 0, 0), for None."""
     if values is None:
-        return _NO_SERIES
+        return np.zeros((0, 0, 0))
     return np.ascontiguousarray(values if np.ndim(values) == 3 else np.asarray(values)[None], float)
 
 
-def _rows(values: Array, batch: int) -> Array:
+def _one_row_each(values: Array, batch: int) -> Array:
     """Return one row per machine, shape (batch, k), of values of shape (1 or batch, k).
 
     The rows are copies: a broadcast row would be read-only, which is another type to Numba and a second compilation.
@@ -173,29 +200,15 @@ def _rows(values: Array, batch: int) -> Array:
     return np.array(np.broadcast_to(values, (batch, values.shape[1])), order="C")
 
 
-def _run_kernel(
-    kernel: Kernel, arguments: tuple[Any, ...], out: Array, readings: Array, *, blocks: int, parallel: bool
-) -> None:
-    """Simulate all blocks; `kernel.rollout` writes states and readings to `out` and `readings`."""
-
-    def run(first: int, last: int) -> None:
-        kernel.rollout(*arguments, first, last, out, readings)
-
-    if parallel:
-        in_parallel(run, blocks)
-    else:
-        run(0, blocks)
-
-
 def rollout(
     machine: Machine, time_s: Times, inputs: Array, *, velocities: bool = False, **options: Any
 ) -> Array:
-    """Simulate machines as `simulate_batch`, and return positions, no sensor readings.
+    """Return the positions of a simulation by `simulate_batch`.
 
     Args:
         inputs: Voltages, V, held from each sample until the next, shape (N, drives) or (B, N, drives).
         velocities: Whether to append the velocities, m/s or rad/s, to the positions.
-        **options: Keyword arguments of `simulate_batch`: `parameters`, `start`, ...
+        **options: Keyword arguments of `simulate_batch`, but `readings`: `parameters`, `start`, ...
 
     Returns:
         Positions, m or rad, shape (B, N, coordinates), or with velocities (B, N, 2 * coordinates).
@@ -216,8 +229,8 @@ def simulate(
     """Simulate a machine over a voltage history; inputs are held from each sample until the next.
 
     Args:
-        time_s: Times of n samples, s, strictly increasing, shape (n,).
-        inputs: Drive voltages, V, shape (n, drives).
+        time_s: Sample times, s, strictly increasing, shape (N,).
+        inputs: Drive voltages, V, shape (N, drives).
         initial: Positions (m, rad), then velocities (m/s, rad/s), at the first sample, shape (2 * coordinates,). The
             internal states of all effects that have one (a hysteresis, for example) may follow, in the order of
             `machine.effects`; without them they are zero. Default: at rest at the origin with unstretched belts.
@@ -225,7 +238,7 @@ def simulate(
         longest_step: Largest step of the integrator, s.
 
     Returns:
-        Motion at every sample: arrays of N rows, shape (N, coordinates) or (N, sensors).
+        Motion at every sample: arrays of shape (N, coordinates) or (N, sensors).
 
     Raises:
         ValueError: If the shapes do not fit the machine, times do not increase or span more than 1e9 steps, or
@@ -258,7 +271,7 @@ def simulate(
 
 
 def _check_finite(machine: Machine, time_s: Array, motion: Motion, longest_step: float) -> None:
-    """Raise NotFiniteError if the first machine of a motion leaves all bounds."""
+    """Raise NotFiniteError if the motion of the first machine has a value that no machine reaches, or NaN."""
     state = np.concatenate(motion, axis=2)[0]
     diverged = ~(np.abs(state) < _DIVERGED)
     if diverged.any():
