@@ -152,7 +152,7 @@ def simulate_batch(
     travel_gains = (
         np.zeros((2 * count, len(machine.sensors))) if gains is None else gains * to_travel[:, None]
     )
-    # Travel, its rate, and, if the states of effects follow, the time between.
+    # Columns: travel, its rate; then, with `effects`, the time and the states of effects.
     width = kernel.states if effects else 2 * count
     state_series = np.empty((batch if states else 0, len(time), width))
     reading_series = np.empty((batch if readings else 0, len(time), len(machine.sensors)))

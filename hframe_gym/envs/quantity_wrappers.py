@@ -73,13 +73,18 @@ def _penalty(info: dict[str, Any], values: Mapping[str, Any], weights: Mapping[s
     return sum(weights[name] * value for name, value in values.items())
 
 
-def _cost(info: dict[str, Any], values: Mapping[str, Any], limits: Mapping[str, float]) -> Any:
-    """Return how many quantities exceed their limits, and put the quantities and costs into `info`."""
+def _with_cost(
+    result: tuple[Any, ...], values: Mapping[str, Any], limits: Mapping[str, float], six_values: bool
+) -> tuple[Any, ...]:
+    """Return the result of a step with its cost: how many quantities exceed their limits."""
+    observation, reward, terminated, truncated, info = result
     exceeded = {name: 1.0 * (value > limits[name]) for name, value in values.items()}
     cost = sum(exceeded.values())
     info.update({f"quantity_{name}": value for name, value in values.items()})
     info.update({f"cost_{name}": value for name, value in exceeded.items()}, cost=cost)
-    return cost
+    if six_values:
+        return observation, reward, cost, terminated, truncated, info
+    return result
 
 
 class _Recording(gym.Wrapper):
@@ -151,11 +156,7 @@ class CostWrapper(_Recording):
 
     def step(self, action: Any) -> tuple[Any, ...]:  # type: ignore[override]
         """Make a step, as the environment does, and report its cost."""
-        (observation, reward, terminated, truncated, info), values = self._step(action)
-        cost = _cost(info, values, self.limits)
-        if self.six_values:
-            return observation, reward, cost, terminated, truncated, info
-        return observation, reward, terminated, truncated, info
+        return _with_cost(*self._step(action), self.limits, self.six_values)
 
 
 class _Observed:
@@ -289,11 +290,7 @@ class VectorCostWrapper(_VectorRecording):
 
     def step(self, actions: Any) -> tuple[Any, ...]:  # type: ignore[override]
         """Make a step of all environments, and report their costs."""
-        (observation, reward, terminated, truncated, info), values = self._step(actions)
-        cost = _cost(info, values, self.limits)
-        if self.six_values:
-            return observation, reward, cost, terminated, truncated, info
-        return observation, reward, terminated, truncated, info
+        return _with_cost(*self._step(actions), self.limits, self.six_values)
 
 
 class VectorObserveQuantities(_VectorRecording):

@@ -7,7 +7,7 @@ import statistics
 from collections.abc import Iterable
 from typing import Any
 
-from tools.tables.result_tables import load_results, markdown, table
+from tools.tables.result_tables import load_results, markdown, table, with_interval
 
 
 @table("controllers")
@@ -26,8 +26,7 @@ def bound(results: dict[str, Any]) -> str:
     """Format the controllers' settling times relative to the bound."""
     rows = []
     for name, c in results["controllers"].items():
-        pairs = [c["ratio_of_means"], c["mean_of_ratios"]]
-        ratios = [f"{r['mean']:.3f} ({r['ci95'][0]:.3f} to {r['ci95'][1]:.3f})" for r in pairs]
+        ratios = [_ratio(c, over) for over in ("ratio_of_means", "mean_of_ratios")]
         rows.append([name, f"{100 * c['success']:.1f} %", f"{c['mean_s']:.3f}", *ratios])
     return markdown(
         ["controller", "within 0.2 mm", "settling time, s", "ratio of means", "mean of ratios"], rows
@@ -192,8 +191,7 @@ def library_programs(results: dict[str, Any]) -> str:
 
 def _ratio(result: dict[str, Any], over: str) -> str:
     """Format a ratio with its interval."""
-    mean, (low, high) = result[over]["mean"], result[over]["ci95"]
-    return f"{mean:.3f} ({low:.3f} to {high:.3f})"
+    return with_interval(result[over]["mean"], *result[over]["ci95"])
 
 
 @table("her")
@@ -202,12 +200,10 @@ def her(results: dict[str, Any]) -> str:
     rows = [
         [
             f"seed {r['seed']}",
-            *(
-                f"{100 * r['success_5mm']:.1f} %",
-                f"{r['steps']}",
-                f"{r['steps_to_bar']}",
-                f"{r['cpu_s']:.0f}",
-            ),
+            f"{100 * r['success_5mm']:.1f} %",
+            f"{r['steps']}",
+            f"{r['steps_to_bar']}",
+            f"{r['cpu_s']:.0f}",
         ]
         for r in results["runs"]
     ]

@@ -8,7 +8,7 @@ from typing import Any
 
 from benchmarks.results_file import ROOT
 from tools.tables.identification import RANDOM_RIGS
-from tools.tables.result_tables import load_results, markdown, table
+from tools.tables.result_tables import load_results, markdown, table, with_interval
 
 
 @table("faults")
@@ -37,8 +37,13 @@ def fuzzing(results: dict[str, Any]) -> str:
     readers = results["readers"]
     rows = [
         [
-            *(name, f"{r['cases']}", f"{r['refused']}", f"{r['failures']}", f"{r['hangs_or_crashes']}"),
-            *(f"{r['slowest_cpu_s']:.1f}", f"{r['peak_MB']:.0f}"),
+            name,
+            f"{r['cases']}",
+            f"{r['refused']}",
+            f"{r['failures']}",
+            f"{r['hangs_or_crashes']}",
+            f"{r['slowest_cpu_s']:.1f}",
+            f"{r['peak_MB']:.0f}",
         ]
         for name, r in readers.items()
     ]
@@ -62,9 +67,8 @@ def ray_scaling(results: dict[str, Any]) -> str:
     rows = []
     for name in ("training", "identification"):
         r = results[name]
-        low, high = r["spread"]
         seconds = (f"{statistics.median(r[key]):.0f} s" for key in ("plain_s", "ray_s"))
-        ratio_cell = f"{r['ratio']:.2f} ({low:.2f} to {high:.2f})"
+        ratio_cell = with_interval(r["ratio"], *r["spread"], digits=2)
         equal = f"{r['equal']} of {r['compared']}"
         costs = f"{r['cpu_s_per_task']:.1f} s", f"{r['worker_memory_MB']:.0f} MB"
         rows.append([f"{r['tasks']} tasks of {name}", *seconds, ratio_cell, equal, *costs])

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
-from tools.tables.result_tables import markdown, table
+from tools.tables.result_tables import markdown, table, with_interval
 
 
 @table("gap")
 def gap(results: dict[str, Any]) -> str:
     """Format the scores of the entries of gap-v1, sorted by settling time over the bound."""
-
-    def number(value: Sequence[float], digits: int) -> str:
-        return f"{value[0]:.{digits}f} ({value[1]:.{digits}f} to {value[2]:.{digits}f})"
-
     rows = [
         [
             f"`{name}`",
@@ -22,11 +17,11 @@ def gap(results: dict[str, Any]) -> str:
             s["knowledge"],
             f"{s['plants']}",
             f"{s['seeds']}" if s["learned"] else "",
-            number(s["over_bound"], 3),
-            number(s["settling_s"], 3),
+            with_interval(*s["over_bound"]),
+            with_interval(*s["settling_s"]),
             f"{100 * s['success'][0]:.1f} %",
-            number([1e3 * v for v in s["circle_mm"]], 0),
-            number([1e3 * v for v in s["square_mm"]], 0),
+            with_interval(*(1e3 * mm for mm in s["circle_mm"]), digits=0),
+            with_interval(*(1e3 * mm for mm in s["square_mm"]), digits=0),
             f"{s['belt_force_N']:.0f}",
             f"{100 * s['saturated'][0]:.1f} %",
             f"{100 * s['left'][0]:.1f} %",
@@ -44,9 +39,14 @@ def gap(results: dict[str, Any]) -> str:
         "moves: over the bound",
         "until 0.2 mm, s",
         "within 0.2 mm",
+        "circle, um rms",
+        "square, um rms",
+        "largest belt force, N",
+        "at the limit",
+        "left the workspace",
+        "preparation, s",
+        "control, us",
     ]
-    header += ["circle, um rms", "square, um rms"]
-    header += ["largest belt force, N", "at the limit", "left the workspace", "preparation, s", "control, us"]
     return markdown(header, rows)
 
 
@@ -57,9 +57,7 @@ def gap_steps(results: dict[str, Any]) -> str:
     for name, parts in results["steps"].items():
         cells = []
         for c in parts.values():
-            mean, low, high = c["ratio"]
-            cells.append(f"{c['better']} ({c['clearly_better']}), {c['worse']} ({c['clearly_worse']})")
-            cells.append(f"{mean:.3f} ({low:.3f} to {high:.3f})")
+            cells += [_counts(c), with_interval(*c["ratio"])]
         rows.append([f"`{name}`", f"{parts['reach']['plants']}", *cells])
     titles = [
         title for part in ("moves", "circle", "square") for title in (f"{part}: better, worse", "ratio")
@@ -73,7 +71,6 @@ def gap_learned(results: dict[str, Any]) -> str:
     rows = []
     for track, parts in results["learned"].items():
         for part, c in parts.items():
-            mean, low, high = c["ratio"]
             rows.append(
                 [
                     track,
@@ -81,12 +78,18 @@ def gap_learned(results: dict[str, Any]) -> str:
                     f"`{c['learned']}`",
                     f"`{c['other']}`",
                     f"{c['plants']}",
-                    f"{c['better']} ({c['clearly_better']}), {c['worse']} ({c['clearly_worse']})",
-                    f"{mean:.3f} ({low:.3f} to {high:.3f})",
+                    _counts(c),
+                    with_interval(*c["ratio"]),
                 ]
             )
     header = ["track", "task", "best learned entry", "best other entry", "plants", "better, worse", "ratio"]
     return markdown(header, rows)
+
+
+def _counts(comparison: dict[str, Any]) -> str:
+    """Format on how many plants an entry is better and worse, in parentheses: significantly."""
+    c = comparison
+    return f"{c['better']} ({c['clearly_better']}), {c['worse']} ({c['clearly_worse']})"
 
 
 @table("model_error")

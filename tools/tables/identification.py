@@ -58,15 +58,17 @@ def identification(results: dict[str, Any]) -> str:
         median, parameters = summary["median"], summary["parameters"]
         rows.append(
             [
-                *(
-                    name,
-                    f"{summary['rigs']}",
-                    f"{summary['scores']['right']}",
-                    f"{summary['named_not_there']}",
-                ),
-                *(f"{median['before']:.3g}", f"{median['after']:.3g}", f"{summary['to_noise']}"),
+                name,
+                f"{summary['rigs']}",
+                f"{summary['scores']['right']}",
+                f"{summary['named_not_there']}",
+                f"{median['before']:.3g}",
+                f"{median['after']:.3g}",
+                f"{summary['to_noise']}",
                 f"{parameters['within']} of {parameters['rigs']}" if parameters["rigs"] else "",
-                *(f"{median['um_after']:.2g}", f"{median['seconds']:.1f}", f"{summary['most_seconds']:.0f}"),
+                f"{median['um_after']:.2g}",
+                f"{median['seconds']:.1f}",
+                f"{summary['most_seconds']:.0f}",
             ]
         )
     header = [
@@ -78,8 +80,11 @@ def identification(results: dict[str, Any]) -> str:
         "after",
         "after <= 1.1",
         "parameters within 2 %",
+        "tool error, um",
+        "s",
+        "slowest, s",
     ]
-    return markdown([*header, "tool error, um", "s", "slowest, s"], rows)
+    return markdown(header, rows)
 
 
 @table(*(f"identification_{name}" for name in IDENTIFICATION_SETS))
@@ -87,8 +92,13 @@ def identification_set(results: dict[str, Any]) -> str:
     """Format the rigs of a set: hidden effects, identified effects, errors and time."""
     rows = [
         [
-            *(r["rig"], r["hides"] or "nothing", r["found"] or r["verdict"], "yes" if r["hit"] else "**no**"),
-            *(f"{r['before']:.3g}", f"{r['after']:.3g}", f"{r['seconds']:.1f}"),
+            r["rig"],
+            r["hides"] or "nothing",
+            r["found"] or r["verdict"],
+            "yes" if r["hit"] else "**no**",
+            f"{r['before']:.3g}",
+            f"{r['after']:.3g}",
+            f"{r['seconds']:.1f}",
         ]
         for r in results["rigs"]
     ]

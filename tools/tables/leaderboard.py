@@ -38,7 +38,7 @@ from hframe_gym.evaluation import (
     run_protocol,
 )
 from hframe_gym.registry import load_plugins
-from tools.tables.result_tables import markdown
+from tools.tables.result_tables import markdown, with_interval
 
 FOLDER = ROOT / "benchmarks" / "leaderboard"
 BANDS = ("1mm", "0.2mm", "0.05mm")
@@ -88,10 +88,10 @@ def protocol_section(name: str, entries: Sequence[ResultFile]) -> str:
             )
             cells = (
                 _move_cells(entry, part, values[id(entry)], bounds)
-                if bounds or task.metrics == "reach"
-                else []
+                if task.metrics == "reach"
+                else _path_cells(entry, part)
             )
-            rows.append([_name(entry), *_about_cells(entry), *(cells or _path_cells(entry, part)), against])
+            rows.append([_name(entry), *_about_cells(entry), *cells, against])
         rows += [
             [f"**{recipe}, {len(seeds)} seeds**", *[""] * len(ABOUT), *(f"**{cell}**" for cell in cells)]
             for recipe, seeds in _trained_repeatedly(ranked).items()
@@ -202,8 +202,7 @@ def _cells_over_seeds(
 
 def _mean(score: Mapping[str, Any], digits: int = 3) -> str:
     """Format a mean with its interval."""
-    low, high = score["ci95"]
-    return f"{score['mean']:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})"
+    return with_interval(score["mean"], *score["ci95"], digits)
 
 
 def _ratio(ratio: Mapping[str, Any] | None) -> str:

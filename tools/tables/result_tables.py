@@ -61,6 +61,18 @@ def markdown(header: Sequence[str], rows: Iterable[Sequence[str]], others: str =
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
+def with_interval(value: float, low: float, high: float, digits: int = 3) -> str:
+    """Format a mean or a ratio with its interval or spread, "1.05 (1.02 to 1.08)".
+
+    Args:
+        value: Value.
+        low: Lower limit.
+        high: Upper limit.
+        digits: Decimals of all three.
+    """
+    return f"{value:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})"
+
+
 def load_results(name: str) -> dict[str, Any]:
     """Return the content of a file of benchmarks/results."""
     content: dict[str, Any] = json.loads((RESULTS / f"{name}.json").read_text("utf-8"))

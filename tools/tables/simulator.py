@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from tools.tables.result_tables import markdown, table
+from tools.tables.result_tables import markdown, table, with_interval
 
 
 @table("paper")
@@ -39,7 +39,7 @@ def throughput(results: dict[str, Any]) -> str:
         [
             name,
             *(f"{1e-6 * r[k]:.3g}" for k in ("ours_steps_per_s", "theirs_steps_per_s")),
-            f"{r['ratio']:.0f} ({r['spread'][0]:.0f} to {r['spread'][1]:.0f})",
+            with_interval(r["ratio"], *r["spread"], digits=0),
         ]
         for name, r in results["mujoco"].items()
         if "ratio" in r
@@ -59,7 +59,7 @@ def differentiable(results: dict[str, Any]) -> str:
                 row["friction"],
                 "state, voltages" + (", parameters" if row["by_parameters"] else ""),
                 f"{row['ours_steps_per_s']:.0f}",
-                f"{1.0 / row['ratio']:.1f} ({1.0 / high:.1f} to {1.0 / low:.1f})",
+                with_interval(1.0 / row["ratio"], 1.0 / high, 1.0 / low, digits=1),
             ]
         )
     header = ["machine", "friction", "with respect to", "differentiated steps/s", "cost in simulated steps"]
@@ -79,8 +79,7 @@ def env_speed(results: dict[str, Any]) -> str:
     rows = []
     for name, result in results.items():
         if name.startswith(("over EnvPool", "single over")):
-            low, high = result["spread"]
-            rows.append([name, f"{result['ratio']:.2f} ({low:.2f} to {high:.2f})"])
+            rows.append([name, with_interval(result["ratio"], *result["spread"], digits=2)])
         elif name.startswith("share of"):
             fractions = (
                 f"{100 * result[clock]['share']:.0f} % of {clock} time" for clock in ("processor", "wall")
@@ -102,12 +101,10 @@ def env_soak(results: dict[str, Any]) -> str:
     }
     rows = [
         [
-            *(
-                name,
-                f"{part['steps']:.3g}",
-                f"{part['not_finite']}",
-                f"{1e3 * part['furthest_beyond_m']:.1f}",
-            ),
+            name,
+            f"{part['steps']:.3g}",
+            f"{part['not_finite']}",
+            f"{1e3 * part['furthest_beyond_m']:.1f}",
             f"{part['largest_energy_J']:.1f} of {part['energy_bound_J']:.0f}",
             f"{part['memory']['last_MB'] - part['memory']['first_MB']:+.0f}",
         ]
