@@ -2,8 +2,8 @@
 
 The estimated vector holds travel and velocity of all coordinates, the logarithms of the ratios of masses, friction,
 belt stiffness and motor constants to their declared values (`AugmentedParameters`), and, if they may drift, the errors
-of the encoders. A belt mode covers a good part of
-its cycle between two measurements: velocities are observable only together with the belts' stiffness.
+of the encoders. A belt mode covers a good part of its cycle between two measurements: velocities are observable only
+together with the belts' stiffness.
 
 Prediction    Second-order divided differences: the simulator maps points spread over the covariance, so that friction
               that sticks at some points and slips at others enters the predicted covariance. Effects with a memory, as
@@ -26,6 +26,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..arrays import Array, Mask, TravelStates, Volts
 from ..dynamics import simulate_batch
@@ -100,10 +101,13 @@ class StateEstimator:
             self.augmented.covariance = _checked_covariance(parameter_covariance, count)
         self._scale = np.tile(machine.travel_per_unit, 2)
         # Parts of the estimated vector: state, logarithms of parameter ratios, errors of encoders.
+        encoders = np.eye(self.channels)[:, self._of_encoders() if drifting_encoders else []]
+        drifting = encoders.shape[1]
         self._state, self._logarithms = slice(0, 2 * n), slice(2 * n, 2 * n + count)
-        self._error_of = self._encoders() if drifting_encoders else np.zeros((self.channels, 0))
-        drifting = self._error_of.shape[1]
         self._errors = slice(2 * n + count, 2 * n + count + drifting)
+        # The linear part of the measurement equation, and the entries of the vector that it concerns.
+        self._matrix = np.hstack([self.measurements.matrix, encoders])
+        self._measured = np.r_[self._state, self._errors]
         self._smallest_std = np.repeat([*SMALLEST_STD, SMALLEST_STD[0]], [n, n, count, drifting])
         self._initial_covariance = np.zeros((self._errors.stop,) * 2)
         self._initial_covariance[:n, :n] = INITIAL_STRETCH_STD**2 * np.eye(n)
@@ -140,12 +144,10 @@ class StateEstimator:
         """Covariance of the logarithms of the k parameter ratios, shape (B, k, k)."""
         return self._covariance[:, self._logarithms, self._logarithms].copy()
 
-    def _encoders(self) -> Array:
-        """Return the matrix (channels, encoders) that adds an error to each channel of a coordinate beside the tool."""
-        model = self.model
-        beside = [i for i in range(len(model.mass)) if i not in model.tool]
-        of_encoder = np.any(self.measurements.matrix[:, beside] != 0.0, axis=1)
-        return np.eye(self.channels)[:, of_encoder]
+    def _of_encoders(self) -> NDArray[np.intp]:
+        """Return the indices of the channels that measure a coordinate other than the tool's axes."""
+        beside = [i for i in range(len(self.model.mass)) if i not in self.model.tool]
+        return np.flatnonzero(np.any(self.measurements.matrix[:, beside] != 0.0, axis=1))
 
     def reset(self, mask: Mask | None = None) -> None:
         """Discard the estimates of the machines that start a new episode with their next measurements.
@@ -235,9 +237,8 @@ class StateEstimator:
 
     def _correct(self, travel: Array, valid: Mask) -> None:
         """Correct mean and covariance by the valid measurements (B, channels), m."""
-        matrix, state = self.measurements.matrix, self._mean[:, self._state]
-        predicted = self.measurements.deviation(state) + self._mean[:, self._errors] @ self._error_of.T
-        innovation = np.where(valid, travel - predicted - state @ matrix.T, 0.0)
+        linear = travel - self.measurements.deviation(self._mean[:, self._state])
+        innovation = np.where(valid, linear - self._mean[:, self._measured] @ self._matrix.T, 0.0)
         _, S = self._innovation_covariance(valid)
         size = np.einsum("bi,bi->b", innovation, np.linalg.solve(S, innovation[..., None])[..., 0])
         self._inflate(size / np.maximum(valid.sum(axis=1), 1))
@@ -247,18 +248,15 @@ class StateEstimator:
         self._mean[:, self._logarithms] = self.augmented.clip(self._mean[:, self._logarithms])
         # Joseph's form keeps the covariance positive after corrections by almost exact measurements.
         reduction = np.tile(np.eye(K.shape[1]), (len(K), 1, 1))
-        reduction[:, :, self._state] -= (K * valid[:, None, :]) @ matrix
-        reduction[:, :, self._errors] -= (K * valid[:, None, :]) @ self._error_of
+        reduction[:, :, self._measured] -= (K * valid[:, None, :]) @ self._matrix
         noise = (K * self.measurements.variance) @ K.transpose(0, 2, 1)
         self._covariance = reduction @ self._covariance @ reduction.transpose(0, 2, 1) + noise
 
     def _innovation_covariance(self, valid: Mask) -> tuple[Array, Array]:
         """Return P H' (B, N, channels) and the innovation covariance (B, channels, channels)."""
-        matrix, error_of = self.measurements.matrix, self._error_of
         # An invalid measurement gets no gain: its covariance with the state is set to zero.
-        PH = self._covariance[:, :, self._state] @ matrix.T * valid[:, None, :]
-        PH += self._covariance[:, :, self._errors] @ error_of.T * valid[:, None, :]
-        HPH = (matrix @ PH[:, self._state] + error_of @ PH[:, self._errors]) * valid[:, :, None]
+        PH = self._covariance[:, :, self._measured] @ self._matrix.T * valid[:, None, :]
+        HPH = self._matrix @ PH[:, self._measured] * valid[:, :, None]
         return PH, HPH + np.diag(self.measurements.variance)
 
     def _inflate(self, innovation_ratio: Array) -> None:
