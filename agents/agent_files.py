@@ -25,12 +25,7 @@ from ..operating_system import quoted, user_folder
 SCHEMA = 2  # version of the formats of agent.json and card.json
 AGENT_FILES = ("agent.json", "machine.json", "policy.safetensors")
 # The last one exists for SAC, TQC and CrossQ only.
-RESUME_FILES = (
-    "card.json",
-    "checkpoint.zip",
-    "environment.pkl",
-    "replay.pkl",
-)
+RESUME_FILES = ("card.json", "checkpoint.zip", "environment.pkl", "replay.pkl")
 KEY_BYTES = 32
 _MARK = b"\nhframe_gym checkpoint signature "
 _TRAILER = len(_MARK) + 2 * KEY_BYTES  # a pickle and a zip archive may have further bytes at the end

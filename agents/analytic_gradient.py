@@ -30,7 +30,6 @@ from stable_baselines3.ppo import MultiInputPolicy
 
 from ..controllers import MotionModel
 from ..errors import InputError
-from .averaged_sac import update_average
 from .differentiable_episode import (
     SAMPLES,
     SimulatedPeriod,
@@ -41,6 +40,7 @@ from .differentiable_episode import (
     reach_cost,
 )
 from .sb3_adapters import ResidualActionVecEnv, set_mean_action_to_zero
+from .weight_average import update_average
 
 LARGEST_NORM = 1.0  # of the gradient with respect to the weights
 

@@ -14,23 +14,7 @@ import torch
 from stable_baselines3 import SAC
 from typing_extensions import override
 
-HALF_KEPT_AFTER = 9.0  # updates after which the average keeps half of its value; the first weights are random
-
-
-def update_average(average: Any, trained: Any, averaging: float, updates: int) -> None:
-    """Update an exponential moving average of weights, in place.
-
-    Args:
-        average: Module with the averages.
-        trained: Module with the present weights, of the same class.
-        averaging: Fraction of the average that remains, 0 to below 1. At the beginning it is smaller, so that the
-            average forgets the first weights.
-        updates: Number of updates, this one included.
-    """
-    kept = min(averaging, updates / (updates + HALF_KEPT_AFTER))
-    with torch.no_grad():
-        for mean, weights in zip(average.parameters(), trained.parameters(), strict=True):
-            mean.lerp_(weights, 1.0 - kept)
+from .weight_average import update_average
 
 
 class AveragedSAC(SAC):
@@ -42,7 +26,7 @@ class AveragedSAC(SAC):
         averaging: Factor of the exponential moving average of the actor's weights per rollout, 0 to below 1; with 0,
             the actor itself is evaluated.
         target_entropy: As for `SAC`, or a function of the fraction of the run that remains.
-        keywords: Further arguments of `SAC`.
+        **keywords: Further arguments of `SAC`.
     """
 
     @override

@@ -62,11 +62,7 @@ RIGS = (
     "belt_play@belts full",
 )
 # File of the identification result: randomization.
-STAGES = {
-    "declared": "default",
-    "before": "default",
-    "machine": "identified",
-}
+STAGES = {"declared": "default", "before": "default", "machine": "identified"}
 NAMES = {"declared": "declared", "before": "refitted", "machine": "corrected"}
 SEED, EPISODES = 2000, 24  # seed of starts and goals, number of episodes
 AGENTS = (0, 1, 2)  # seeds

@@ -40,7 +40,7 @@ BANDS_MM = (1.0, 0.2)
 STEPS = (15_000, 50_000, 150_000)
 TICKS_S, TICKS_MM = (2, 5, 10, 20, 50), (0.1, 0.2, 0.4, 1, 2, 4)  # of the figure
 ACCEPTED_MM = 0.4  # median error that every program has to reach
-Variables = dict[str, Any]
+Variables = dict[str, Any]  # of a program, by name
 Policy = Callable[[Any], Any]  # batch of observations to actions without noise
 
 
@@ -218,8 +218,8 @@ def run_apart(section: str, steps: int, seed: int) -> dict[str, Any]:
         return dict(json.loads(row.read_text("utf-8")))
 
 
-def draw(programs: Variables) -> None:
-    """Draw the median error against the processor time: the median over the seeds, and each run as a point."""
+def draw(programs: dict[str, Any]) -> None:
+    """Draw the median error, mm, against the processor time, s: the median over the seeds, and each run as a point."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -269,7 +269,7 @@ def main() -> None:
         arguments.row.write_text(json.dumps(run(section, steps, seed)), "utf-8")
         return
     file = RESULTS / f"{NAME}.json"
-    programs: Variables = json.loads(file.read_text("utf-8"))["programs"] if file.exists() else {}
+    programs: dict[str, Any] = json.loads(file.read_text("utf-8"))["programs"] if file.exists() else {}
     for section in arguments.sections:
         program = PROGRAMS[section]
         if importlib.util.find_spec(program.module) is None:

@@ -67,7 +67,7 @@ def scenario(condition: str, draws: int) -> Scenario:
 def controller(name: str) -> Controller:
     """Return a controller or an agent with the declared machine as its model."""
     if name in CONTROLLERS:
-        return CONTROLLERS.get(name)(declared_machine(), 0.01)
+        return CONTROLLERS.get(name)(declared_machine(), Scenario.period)
     folder = trained_agent() if name == TRAINED else shipped_agent_folder(f"{name}-seed0", "reach")
     return Agent.load(folder, declared_machine())
 

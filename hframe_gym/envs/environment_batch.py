@@ -126,9 +126,7 @@ class EnvironmentBatch:
     def fingerprint(self) -> str:
         """Hash of machine, task, number of environments and options, which a saved state must share."""
         # Pydantic takes long to import, and few save states.
-        from ..recordings.machine_file import (
-            machine_to_dict,
-        )
+        from ..recordings.machine_file import machine_to_dict
 
         config = self.config
         options = {

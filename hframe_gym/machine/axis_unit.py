@@ -14,10 +14,7 @@ from functools import cached_property
 # m. Arm at whose end an angle is as large as the way of a linear axis: that of a hobby servo, a small robot or a wheel.
 ARM = 0.1
 # rad, range of a rotary axis that declares none: one turn to either side
-DEFAULT_TURNS = (
-    -2.0 * math.pi,
-    2.0 * math.pi,
-)
+DEFAULT_TURNS = (-2.0 * math.pi, 2.0 * math.pi)
 _BANDS = (1e-3, 2e-4, 5e-5)  # m, settling bands around a goal, from wide to narrow
 
 

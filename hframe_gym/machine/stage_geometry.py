@@ -62,10 +62,7 @@ class StageGeometry:
         (self.left, self.right), (self.low, self.high) = np.asarray(workspace, float).tolist()
         self.bridge_axis = bridge_axis
         # m, from the workspace to the rails and pulleys, along x and y
-        out = [
-            self.clearance,
-            self.clearance,
-        ]
+        out = [self.clearance, self.clearance]
         if bridge_axis is not None:
             out[bridge_axis] = CLEARANCE + HALF_BRIDGE
         self.x0, self.x1 = self.left - out[0], self.right + out[0]

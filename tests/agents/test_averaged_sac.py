@@ -8,7 +8,8 @@ import torch
 from hframe_gym.agents.recipe import LinearSchedule
 
 pytest.importorskip("stable_baselines3")
-from hframe_gym.agents.averaged_sac import AveragedSAC, update_average
+from hframe_gym.agents.averaged_sac import AveragedSAC
+from hframe_gym.agents.weight_average import update_average
 
 
 def sac(**keywords):

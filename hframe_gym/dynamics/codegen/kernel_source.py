@@ -18,13 +18,7 @@ from ..symbolic.tracing import Trace
 from .step_trace import Layout, StepTrace, row_name
 
 # Functions of the generated text.
-FUNCTIONS = (
-    "prepare",
-    "voltage_delays",
-    "advance",
-    "read_sensors",
-    "measurement_delays",
-)
+FUNCTIONS = ("prepare", "voltage_delays", "advance", "read_sensors", "measurement_delays")
 
 # Constants of a step that `prepare` derives from the parameters, for each coordinate; those of PER_DIRECTION for both
 # directions of motion where viscous friction depends on the direction.

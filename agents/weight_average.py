@@ -1,0 +1,25 @@
+"""Exponential moving average of the weights of a policy. Importing this needs the extra `agents`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+
+HALF_KEPT_AFTER = 9.0  # updates after which the average keeps half of its value; the first weights are random
+
+
+def update_average(average: Any, trained: Any, averaging: float, updates: int) -> None:
+    """Update an exponential moving average of weights, in place.
+
+    Args:
+        average: Module with the averages.
+        trained: Module with the present weights, of the same class.
+        averaging: Fraction of the average that remains, 0 to below 1. At the beginning it is smaller, so that the
+            average forgets the first weights.
+        updates: Number of updates, this one included.
+    """
+    kept = min(averaging, updates / (updates + HALF_KEPT_AFTER))
+    with torch.no_grad():
+        for mean, weights in zip(average.parameters(), trained.parameters(), strict=True):
+            mean.lerp_(weights, 1.0 - kept)
