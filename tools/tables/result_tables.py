@@ -61,7 +61,7 @@ def markdown(header: Sequence[str], rows: Iterable[Sequence[str]], others: str =
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
-def with_interval(value: float, low: float, high: float, digits: int = 3) -> str:
+def with_interval(value: float, low: float, high: float, *, digits: int = 3) -> str:
     """Format a mean or a ratio with its interval or spread, "1.05 (1.02 to 1.08)".
 
     Args:
