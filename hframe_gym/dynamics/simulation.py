@@ -133,7 +133,7 @@ def simulate_batch(
         parallel: Whether to distribute the machines over threads; False if the caller does so.
 
     Returns:
-        The motion; where it diverges, it has NaN or large values.
+        The motion, arrays of shape (B, N, ...), with NaN or large values where it diverges.
     """
     count, radii = len(machine.coordinates), machine.travel_per_unit
     kernel = kernel_for(machine, forced=extra_force is not None)
