@@ -127,13 +127,15 @@ class TransferDesign:
     def _costates(
         self, matrices: Sequence[tuple[Array, Array]], durations: Collection[int]
     ) -> Iterator[tuple[int, Array, Array]]:
-        """Yield N = 1, 2, ..., the pulse response over N periods, and for each of the durations the error's costate.
+        """Yield N = 1, 2, ..., the pulse response over N periods, and the error's costate if N is one of the durations.
 
-        The voltages of a transfer of N periods are minus the transposed pulse responses times its costate.
+        The voltages of a transfer of N periods are minus the transposed pulse responses times its costate. For other N,
+        the costate is empty.
         """
         A, B = (np.stack(by_point) for by_point in zip(*matrices, strict=True))
-        scale, costate = state_scale(A.shape[1]), np.zeros(0)
+        scale = state_scale(A.shape[1])
         for N, (pulse, W, power) in enumerate(reachability(A, B, max(durations)), 1):
+            costate = np.zeros(0)
             if N in durations:
                 costate = np.linalg.pinv(W, rcond=1e-15, hermitian=True) @ power / scale
             yield N, pulse, costate

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arrays import Array, ParameterRows, Times
+from ..errors import InputError
 from ..machine import Machine, Trajectory, rest_state
 from ..operating_system import cores
 from .codegen.kernel import kernel_for
@@ -39,10 +40,17 @@ def threads() -> int:
     It is `$HFRAME_THREADS` if that is set, else the number of cores that this process may use.
 
     Raises:
-        ValueError: If `$HFRAME_THREADS` is not an integer.
+        InputError: If `$HFRAME_THREADS` is not an integer.
     """
     explicit = os.environ.get("HFRAME_THREADS")
-    return max(1, int(explicit)) if explicit else cores()
+    if not explicit:
+        return cores()
+    try:
+        return max(1, int(explicit))
+    except ValueError:
+        raise InputError(
+            f"HFRAME_THREADS is {explicit!r}; set it to a number of threads, or unset it"
+        ) from None
 
 
 def in_parallel(run: Callable[[int, int], None], blocks: int) -> None:

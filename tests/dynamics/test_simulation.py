@@ -9,6 +9,7 @@ import pytest
 
 from hframe_gym.dynamics import NotFiniteError, rollout, simulate, simulate_batch
 from hframe_gym.effects import EFFECTS
+from hframe_gym.errors import InputError
 from hframe_gym.machine import BUILTIN_MACHINES, AppliedEffect, Machine, rest_state
 from tests import reference_simulator as reference
 from tests.reference_simulator import Rig
@@ -102,6 +103,12 @@ def test_bits_do_not_depend_on_batch_or_threads(
     for threads in ("1", "2"):
         monkeypatch.setenv("HFRAME_THREADS", threads)
         np.testing.assert_array_equal(rollout(hframe, time, many, velocities=True)[-1], alone)
+
+
+def test_a_number_of_threads_that_is_none_is_named(hframe: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HFRAME_THREADS", "all")
+    with pytest.raises(InputError, match="HFRAME_THREADS is 'all'"):
+        rollout(hframe, TIME[:3], history(5)[:3])
 
 
 @ORACLE
