@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.gap.entries import MODELS
 from benchmarks.gap.results import interval, plant_scores
-from benchmarks.gap.summary import STEPS, by_entry
+from benchmarks.gap.summary import by_entry
 from benchmarks.results_file import FIGURES, save_figure
 
 COLORS = {
@@ -43,7 +44,8 @@ def draw(contents: dict[str, dict[str, Any]]) -> Path:
     # The same plants for all points; entries that have not been scored on all of them are left out.
     plants = sorted(set.intersection(*(set(s) for name in shown for s in scores[f"{name}-corrected"])))
     scores = {name: of for name, of in scores.items() if all(set(plants) <= set(s) for s in of)}
-    steps = ["declared", *(step for step in STEPS if any(f"{name}-{step}" in scores for name in shown))]
+    models = (*MODELS, "online")
+    steps = ["declared", *(model for model in models if any(f"{name}-{model}" in scores for name in shown))]
     entries = {name: [name if step == "declared" else f"{name}-{step}" for step in steps] for name in shown}
     offsets = np.linspace(-LARGEST_OFFSET, LARGEST_OFFSET, max(len(shown), 2))
     for offset, (name, names) in zip(offsets, entries.items(), strict=False):
