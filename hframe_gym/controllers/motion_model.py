@@ -84,8 +84,8 @@ class MotionModel:
     """Model for the design of controllers: a machine with n coordinates and one drive per axis, in belt travel.
 
     Args:
-        machine: Machine with the coordinates of its tool (x and y, or one axis) and those of as many drives. What
-            effects add beside them does not move in the model (`rigid_counterpart`).
+        machine: Machine with the coordinates of its tool (x and y, or one axis) and those of as many drives.
+            Coordinates that effects add do not move in the model (`rigid_counterpart`).
 
     Attributes:
         axes: Names of the tool's coordinates, ("x", "y") or one name.

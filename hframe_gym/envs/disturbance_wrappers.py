@@ -44,6 +44,10 @@ class _Forces:
         env: Environment of this package, whose machine has the effects of `machine_for_disturbances`.
         name: Name of the process.
         options: Its keywords.
+
+    Attributes:
+        batch: Batch of the environment.
+        forces: Forces of the present control period, N, shape (count, axes).
     """
 
     def __init__(self, env: Any, name: str, options: Mapping[str, Any]) -> None:
@@ -71,9 +75,8 @@ class _Forces:
 
     def begin(self, mask: Any = slice(None)) -> None:
         """Draw the first forces of environments in which an episode begins."""
-        self.forces[mask] = self._process.begin(self.forces.shape, self.batch.config.period, self._generator)[
-            mask
-        ]
+        first = self._process.begin(self.forces.shape, self.batch.config.period, self._generator)
+        self.forces[mask] = first[mask]
         self._apply()
 
     def follow(self) -> None:

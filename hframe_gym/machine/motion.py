@@ -36,7 +36,7 @@ def rigid_counterpart(machine: Machine) -> Machine:
     """Return the machine for which controllers are designed: coordinates that effects add stay at zero.
 
     A bridge does not yaw, a payload does not swing, the frame that carries a sensor rests: no sensor measures these
-    coordinates, and a controller leaves the vibration that they cause. The effects that add them are left
+    coordinates, and a controller does not act against the vibration that they cause. The effects that add them are left
     out with their parameters; a machine without such effects is returned as it is. Coordinates that are not held by a
     spring, such as idlers or the pulley behind a gear's gap, remain.
     """

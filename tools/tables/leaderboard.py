@@ -26,6 +26,7 @@ from hframe_gym.errors import InputError
 from hframe_gym.evaluation import (
     EFFECT_FAMILIES,
     PROTOCOLS,
+    Entry,
     Protocol,
     ResultFile,
     compare_draws,
@@ -286,19 +287,18 @@ def rerun(path: Path, name: str | None = None) -> tuple[bool, str]:
     """
     result = read_result(path)
     protocol = get_protocol(result.protocol)
+
+    def swapped(entry: Entry) -> tuple[bool, str]:
+        found = f"{entry.name} has the hash {entry.sha256[:8]}, not that of the file"
+        return False, f"{path}: swapped weights: {found}"
+
     load_plugins()
     present = make_entry(name or result.entry.name, protocol, next(iter(protocol.parts)))[0]
     if present.kind == "agent" and len(protocol.parts) == 1 and present.sha256 != result.entry.sha256:
-        return (
-            False,
-            f"{path}: swapped weights: {present.name} has the hash {present.sha256[:8]}, not that of the file",
-        )
+        return swapped(present)
     entry, draws = run_protocol(name or result.entry.name, protocol)
     if entry.kind == "agent" and entry.sha256 != result.entry.sha256:
-        return (
-            False,
-            f"{path}: swapped weights: {entry.name} has the hash {entry.sha256[:8]}, not that of the file",
-        )
+        return swapped(entry)
     compared = compare_draws(result, draws)
     verdict = "reproduced" if compared.reproduced else "NOT reproduced"
     worst = f"; largest difference: {compared.worst}" if compared.worst else ""
