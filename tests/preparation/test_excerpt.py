@@ -120,3 +120,18 @@ def test_what_a_part_of_the_rows_shows_is_fitted_to_all_of_them(monkeypatch: pyt
     assert early.unfinished is not None
     assert early.unfinished.stage == "fitting all rows"
     assert sum(len(run.time_s) for run in early.fitted.runs) == 3000
+
+
+def test_a_run_that_the_search_leaves_out_does_not_refute_what_it_found(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """In one run, the encoder counted the other way."""
+    monkeypatch.setattr(
+        "hframe_gym.identification.search.checked_search.representative_part",
+        partial(representative_part, size=2000),
+    )
+    runs = limited_runs([3.0, 9.0, 3.0, 9.0, 9.0])
+    runs[1] = dataclasses.replace(runs[1], outputs=2.0 * runs[1].outputs[0] - runs[1].outputs)
+    result = identify(runs, AXIS, budget=math.inf)
+    assert any(remark.startswith("run_1 is not used") for remark in result.excluded)
+    assert [s.effect.label for s in result.effects] == ["current_limit@motor"]
