@@ -17,8 +17,7 @@ from hframe_gym.cli import support as cli_support
 from hframe_gym.cli.support import finishing_on_interrupt, print_warning, search_progress
 from hframe_gym.identification.budget import Budget, error_so_far, note_error, spend
 from hframe_gym.recordings import save_machine, write_recording
-from tests.identification.axis_results import AXIS
-from tests.identification.test_pipeline import limited_runs
+from tests.identification.single_axis import AXIS, limited_runs
 
 pytestmark = pytest.mark.integration
 

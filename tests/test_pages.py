@@ -21,7 +21,7 @@ from hframe_gym.identification.report.page import build_report
 from hframe_gym.machine import Uncertainty
 from hframe_gym.web_page import COLORS, Panel, number, panel_svg
 from tests.browser import SCHEMES, WIDTHS, chromium, faults_of, open_page
-from tests.identification.axis_results import AXIS, PRESLIDING, axis_result, axis_runs
+from tests.identification.single_axis import AXIS, PRESLIDING, axis_result, axis_runs
 
 pytest.importorskip("jinja2")
 pytest.importorskip("matplotlib")

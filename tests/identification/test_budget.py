@@ -20,8 +20,7 @@ from hframe_gym.identification.budget import (
     spend,
     spender,
 )
-from tests.identification.axis_results import AXIS, axis_runs
-from tests.identification.test_pipeline import limited_runs
+from tests.identification.single_axis import AXIS, axis_runs, limited_runs
 
 pytestmark = pytest.mark.unit
 

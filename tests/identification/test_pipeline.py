@@ -5,14 +5,11 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from hframe_gym.dynamics import simulate
-from hframe_gym.effects import EFFECTS
 from hframe_gym.errors import InputError
 from hframe_gym.identification import (
     IdentificationResult,
@@ -23,8 +20,8 @@ from hframe_gym.identification import (
 )
 from hframe_gym.identification.report.page import build_report
 from hframe_gym.machine import BUILTIN_MACHINES
-from hframe_gym.recordings import Recording, load_machine, load_recordings
-from tests.identification.axis_results import AXIS
+from hframe_gym.recordings import load_machine, load_recordings
+from tests.identification.single_axis import AXIS, limited_runs
 from tools.make_examples import RIGS
 
 pytestmark = pytest.mark.integration
@@ -178,25 +175,6 @@ def test_criteria_are_passed_to_the_search_and_written_to_the_report() -> None:
     assert result.verdict == "unexplained"
     assert not result.effects
     assert result.as_json()["criteria"]["max_effects"] == 0
-
-
-def limited_runs(volts: Sequence[float], peak: int | None = None) -> list[Recording]:
-    """Return runs of an axis with a current limit of 5 A and random voltage steps of the given sizes.
-
-    The run of index `peak` has 9 V for 40 ms.
-    """
-    truth = AXIS.with_effects(EFFECTS["current_limit"].at("motor", I=5.0))
-    rng = np.random.default_rng(4)
-    recordings = []
-    for k, size in enumerate(volts):
-        time_s = np.arange(1500) * 1e-3
-        inputs = np.repeat(rng.uniform(-size, size, (15, 1)), 100, axis=0)
-        inputs[:100] = 0.0
-        if k == peak:
-            inputs[700:740] = 9.0
-        outputs = simulate(truth, time_s, inputs).outputs + rng.normal(0.0, 2e-5, (1500, 1))
-        recordings.append(Recording(f"run_{k}", time_s, inputs, outputs))
-    return recordings
 
 
 def test_an_effect_that_only_the_held_out_run_excites_is_a_hint() -> None:

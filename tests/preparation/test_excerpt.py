@@ -16,8 +16,7 @@ from hframe_gym.preparation.dataset import Dataset
 from hframe_gym.preparation.excerpt import NORMAL_SESSION, describe_part, largest_share, representative_part
 from hframe_gym.preparation.session import prepare
 from hframe_gym.recordings import Recording
-from tests.identification.axis_results import AXIS
-from tests.identification.test_pipeline import limited_runs
+from tests.identification.single_axis import AXIS, limited_runs
 
 pytestmark = pytest.mark.unit
 PERIOD = 1e-3  # s

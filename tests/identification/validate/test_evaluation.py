@@ -24,8 +24,7 @@ from hframe_gym.identification.propose.dependences import are_causes
 from hframe_gym.identification.validate.evaluation import _with_fast_error
 from hframe_gym.machine import AppliedEffect, Machine
 from hframe_gym.recordings import Recording
-from tests.identification.axis_results import AXIS
-from tests.identification.test_pipeline import limited_runs
+from tests.identification.single_axis import AXIS, limited_runs
 
 CRITERIA = SelectionCriteria()
 EXACT = Evidence(left=1.0, left_before=1.0, motion=1e-4, lacking=1e-6, remaining_prediction=1.0)

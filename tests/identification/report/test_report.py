@@ -38,7 +38,7 @@ from hframe_gym.identification.validate.machine_errors import PredictionErrors
 from hframe_gym.identification.validate.simpler_machines import PlainResult
 from hframe_gym.machine import BUILTIN_MACHINES, Machine, Uncertainty
 from hframe_gym.web_page import Panel, save_panels
-from tests.identification.axis_results import AXIS, PRESLIDING, axis_result, axis_runs
+from tests.identification.single_axis import AXIS, PRESLIDING, axis_result, axis_runs
 
 STRIBECK = AXIS.with_effects(EFFECTS["stribeck_friction"].at("x", dF=0.8, vs=0.02))
 CURVE = {f"k{i:02d}": 0.01 * i - 0.12 for i in range(KNOTS)} | {

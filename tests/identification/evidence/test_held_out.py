@@ -18,8 +18,8 @@ from hframe_gym.identification.fit.force_sizes import force_error
 from hframe_gym.identification.predict.prediction import POLISH_STEP
 from hframe_gym.preparation.division import spectral_differences
 from hframe_gym.recordings import Recording
-from tests.identification.axis_results import axis_runs
 from tests.identification.scripted_fits import AXIS, DRAG, FRAME, PUSH, selected
+from tests.identification.single_axis import axis_runs
 
 
 def voltages(kind: str, seed: int, rate: float = 1000.0, duration: float = 2.0) -> np.ndarray:

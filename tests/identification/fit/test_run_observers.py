@@ -11,7 +11,7 @@ from hframe_gym.identification.fit.model_error import fit_with_model_error
 from hframe_gym.identification.fit.run_observers import fit_run_by_run
 from hframe_gym.machine import Machine
 from hframe_gym.preparation.dataset import RunObserver
-from tests.identification.test_model_error import fitted_axis, recordings
+from tests.identification.fit.test_model_error import fitted_axis, recordings
 
 
 @pytest.mark.parametrize("force", [0.02, 0.3])

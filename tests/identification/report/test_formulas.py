@@ -22,7 +22,7 @@ from hframe_gym.identification.report.page import build_report
 from hframe_gym.identification.report.saved_result import formulas_of_folder
 from hframe_gym.machine import Machine, Uncertainty
 from hframe_gym.recordings import load_machine
-from tests.identification.axis_results import AXIS, axis_result, axis_runs
+from tests.identification.single_axis import AXIS, axis_result, axis_runs
 
 pytestmark = pytest.mark.integration
 pytest.importorskip("sklearn")

@@ -23,7 +23,7 @@ from hframe_gym.identification.propose.candidates import (
 from hframe_gym.identification.propose.trial_fits import indistinguishable
 from hframe_gym.machine import Machine
 from hframe_gym.recordings import Recording
-from tests.identification.axis_results import AXIS
+from tests.identification.single_axis import AXIS
 
 RIG = AXIS.with_effects(EFFECTS["stribeck_friction"].at("x", dF=0.3, vs=0.1))
 

@@ -14,7 +14,7 @@ from hframe_gym.identification.propose.candidates import Candidate, SearchState,
 from hframe_gym.identification.propose.periodogram import periodogram_peaks, slow_rates
 from hframe_gym.identification.search.tables import table_candidates
 from hframe_gym.machine import Machine
-from tests.identification.axis_results import AXIS, axis_runs
+from tests.identification.single_axis import AXIS, axis_runs
 
 
 def motion(rate: float, kind: str = "force") -> tuple[np.ndarray, np.ndarray | None]:

@@ -15,7 +15,7 @@ from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH
 from hframe_gym.identification.propose.candidates import candidates
 from hframe_gym.identification.propose.trial_fits import _ranked_candidates
 from hframe_gym.machine import Machine
-from tests.identification.axis_results import AXIS, axis_runs
+from tests.identification.single_axis import AXIS, axis_runs
 
 PERIOD = 0.0137  # m
 FRICTION = EFFECTS["position_friction"]

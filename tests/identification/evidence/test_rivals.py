@@ -9,8 +9,8 @@ from hframe_gym.identification import default_free_parameters, fit
 from hframe_gym.identification.evidence import rivals
 from hframe_gym.identification.fit.model_error import likelihood_loss
 from hframe_gym.identification.predict.prediction import POLISH_STEP
-from tests.identification.axis_results import axis_runs
 from tests.identification.scripted_fits import AXIS, CRITERIA, DRAG, HFRAME, PUSH, SPRING, fit_with
+from tests.identification.single_axis import axis_runs
 
 VOLTAGE_OFFSET = EFFECTS["voltage_offset"]
 

@@ -1,7 +1,8 @@
-"""Results of a single axis that are put together by hand, for the tests of report and formulas."""
+"""A single axis: simulated runs, and results that are put together by hand."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -31,6 +32,25 @@ def axis_runs(truth: Machine, *, rows: int, volts: float) -> Dataset:
         outputs = simulate(truth, time_s, inputs).outputs + rng.normal(0.0, NOISE, (rows, 1))
         recordings.append(Recording(f"run_{k}", time_s, inputs, outputs))
     return prepare(recordings, AXIS)
+
+
+def limited_runs(volts: Sequence[float], peak: int | None = None) -> list[Recording]:
+    """Return runs of an axis with a current limit of 5 A and random voltage steps of the given sizes.
+
+    The run of index `peak` has 9 V for 40 ms.
+    """
+    truth = AXIS.with_effects(EFFECTS["current_limit"].at("motor", I=5.0))
+    rng = np.random.default_rng(4)
+    recordings = []
+    for k, size in enumerate(volts):
+        time_s = np.arange(1500) * 1e-3
+        inputs = np.repeat(rng.uniform(-size, size, (15, 1)), 100, axis=0)
+        inputs[:100] = 0.0
+        if k == peak:
+            inputs[700:740] = 9.0
+        outputs = simulate(truth, time_s, inputs).outputs + rng.normal(0.0, 2e-5, (1500, 1))
+        recordings.append(Recording(f"run_{k}", time_s, inputs, outputs))
+    return recordings
 
 
 def axis_result(

@@ -19,7 +19,6 @@ from hframe_gym.identification.predict.linearization import RunLinearization
 from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH, predict, prediction_error
 from hframe_gym.machine import AppliedEffect
 from hframe_gym.recordings import Recording
-from tests.identification.axis_results import axis_runs
 from tests.identification.scripted_fits import (
     AXIS,
     DATA,
@@ -31,6 +30,7 @@ from tests.identification.scripted_fits import (
     STRIBECK,
     fit_with,
 )
+from tests.identification.single_axis import axis_runs
 
 
 @pytest.fixture
