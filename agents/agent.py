@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import override
 
-from ..atomic_files import atomic_file, complete_commit, output_batch, write_text
 from ..controllers import Controller, UnitCheck
 from ..envs import SensorsLike, action_space, observation_space
 from ..errors import InputError
+from ..files import atomic_file, complete_commit, output_batch, write_text
 from ..machine import Machine, observed_coordinates
 from ..recordings import load_machine, save_machine
 from .agent_files import read_agent_json

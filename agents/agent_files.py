@@ -17,9 +17,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
-from ..atomic_files import complete_commit
 from ..errors import InputError
-from ..file_limits import read_json
+from ..files import complete_commit, read_json
 from ..operating_system import quoted, user_folder
 
 SCHEMA = 2  # version of the formats of agent.json and card.json

@@ -15,7 +15,6 @@ import numpy as np
 
 from hframe_gym.arrays import Array
 
-from ..atomic_files import write_text
 from ..controllers import Controller
 from ..envs import EnvConfig
 from ..evaluation import (
@@ -27,6 +26,7 @@ from ..evaluation import (
     settling_times,
     unit_of_scores,
 )
+from ..files import write_text
 from ..machine import AXIS_UNITS
 
 PACKAGES = ("hframe_gym", "stable-baselines3", "torch", "numpy", "numba", "gymnasium")

@@ -17,11 +17,11 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from ..atomic_files import atomic_file, complete_commit, locked_folder, newest, output_batch
 from ..controllers import period_concern
 from ..envs import EnvConfig, Task
 from ..errors import InputError
 from ..evaluation import Scenario
+from ..files import atomic_file, complete_commit, locked_folder, newest, output_batch
 from ..machine import Machine
 from ..recordings import load_machine
 from .agent import Agent, load_weights, policy_class, policy_keywords, same_parameters

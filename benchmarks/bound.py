@@ -22,7 +22,6 @@ import hframe_gym.evaluation
 from benchmarks.controllers import BAND, EPISODES, RUNS, SEED
 from benchmarks.results_file import write_results
 from hframe_gym.arrays import Array
-from hframe_gym.atomic_files import write_text
 from hframe_gym.controllers.time_optimal import SMOOTHED_REVERSAL_SPEED, TimeOptimalMotion, TimeOptimalReach
 from hframe_gym.dynamics import simulate_batch
 from hframe_gym.evaluation import (
@@ -38,6 +37,7 @@ from hframe_gym.evaluation import (
     settling_times,
 )
 from hframe_gym.evaluation.metrics import BOUNDS_FILE
+from hframe_gym.files import write_text
 from hframe_gym.machine import rest_state
 
 STORE = Path(hframe_gym.evaluation.__file__).parent / BOUNDS_FILE

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.results_file import write_results
-from hframe_gym.atomic_files import write_text
+from hframe_gym.files import write_text
 from hframe_gym.identification import SelectionCriteria, identify, write_result
 from hframe_gym.identification.report.formulas import TableComparison, compare_formulas
 from tests.reference_simulator import COORDINATES

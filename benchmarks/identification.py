@@ -33,7 +33,7 @@ from rich.table import Table
 import hframe_gym
 from benchmarks.results_file import RESULTS, write_results
 from benchmarks.scoring import SCORES, score_session
-from hframe_gym.atomic_files import write_text
+from hframe_gym.files import write_text
 from hframe_gym.identification import identify
 from hframe_gym.recordings import load_machine, load_recordings
 from tests.rigs.cases import Case, cases, select_cases

@@ -34,7 +34,7 @@ from rich.table import Table
 from benchmarks import closed_loop_rigs, other_simulator_rigs
 from benchmarks.results_file import ROOT, data_root
 from benchmarks.scoring import score_names
-from hframe_gym.atomic_files import atomic_file
+from hframe_gym.files import atomic_file
 from hframe_gym.identification import Fit, SelectionCriteria, identify, judge
 from hframe_gym.identification.judge.criteria import SearchEffort
 from hframe_gym.identification.judge.effect import EffectEvidence

@@ -19,8 +19,8 @@ from rich.table import Table
 
 from benchmarks.results_file import FIGURES, write_results
 from hframe_gym.arrays import Array
-from hframe_gym.atomic_files import atomic_file
 from hframe_gym.dynamics import mode_frequencies, simulate
+from hframe_gym.files import atomic_file
 from hframe_gym.machine import BUILTIN_MACHINES, Machine, with_constant_stiffness
 from hframe_gym.machine.presets import STIFFNESS
 

@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 
 import hframe_gym.evaluation
-from hframe_gym.atomic_files import write_text
 from hframe_gym.controllers.time_optimal import HeldVoltageReach, TimeOptimalReach
 from hframe_gym.errors import InputError
 from hframe_gym.evaluation import (
@@ -31,6 +30,7 @@ from hframe_gym.evaluation import (
     get_protocol,
     stored_bounds,
 )
+from hframe_gym.files import write_text
 from hframe_gym.machine import Machine
 
 FOLDER = Path(hframe_gym.evaluation.__file__).parent / "bound_times_data"

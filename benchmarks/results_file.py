@@ -8,9 +8,9 @@ import platform
 from pathlib import Path
 from typing import Any
 
-from hframe_gym.atomic_files import write_text
 from hframe_gym.dynamics.simulation import threads
 from hframe_gym.evaluation import installed_versions
+from hframe_gym.files import write_text
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "benchmarks" / "results"

@@ -24,8 +24,8 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from .atomic_files import atomic_file, output_batch, scratch_folder
 from .errors import InputError
+from .files import atomic_file, output_batch, scratch_folder
 
 if TYPE_CHECKING:
     from threadpoolctl import ThreadpoolController

@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from hframe_gym import operating_system
-from hframe_gym.cache_folder import cache_folder
 from hframe_gym.operating_system import cores, quoted, user_folder
 
 
@@ -46,16 +45,3 @@ def test_cores_are_counted_by_what_the_system_offers(
     operating_system._cores.cache_clear()
     assert 1 <= cores() <= (os.cpu_count() or 1)
     operating_system._cores.cache_clear()
-
-
-def test_the_cache_is_in_a_private_temporary_folder_where_users_have_no_numbers(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "file").write_text("not a folder")
-    monkeypatch.delenv("HFRAME_CACHE", raising=False)
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
-    monkeypatch.setenv("LOGNAME", "me")
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    monkeypatch.delattr(os, "getuid", raising=False)
-    with pytest.warns(RuntimeWarning, match="is cached in"):
-        assert cache_folder() == tmp_path / "hframe_gym-me"

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hframe_gym.atomic_files import output_batch, write_text
 from hframe_gym.errors import InputError
+from hframe_gym.files import output_batch, write_text
 
 
 def draw(seed: int, folder: Path | None = None, dies: int = -1, times: int = 1) -> tuple[int, bytes]:

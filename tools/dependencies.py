@@ -25,7 +25,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from packaging.version import Version
 
-from hframe_gym.atomic_files import write_text
+from hframe_gym.files import write_text
 
 ROOT = Path(__file__).resolve().parents[1]
 CONSTRAINTS, PAGE = ROOT / "constraints.txt", ROOT / "docs" / "dependencies.md"

@@ -33,7 +33,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import NoReturn
 
-from hframe_gym.atomic_files import write_text
+from hframe_gym.files import write_text
 
 ROOT = Path(__file__).resolve().parents[1]
 OUTPUT = ROOT / "out" / "mutation" / "report.json"

@@ -18,8 +18,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks.results_file import ROOT
-from hframe_gym.atomic_files import STAGE, complete_commit, locked_folder
 from hframe_gym.effects import EFFECTS
+from hframe_gym.files import STAGE, complete_commit, locked_folder
 from hframe_gym.machine import BUILTIN_MACHINES
 from hframe_gym.recordings import Recording, write_recording
 

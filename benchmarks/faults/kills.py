@@ -26,7 +26,7 @@ from benchmarks.faults.commands import (
     without_stages,
     words_of,
 )
-from hframe_gym.atomic_files import STAGE, complete_commit
+from hframe_gym.files import STAGE, complete_commit
 
 SEED = 15
 KILLS = {"simulate": 36, "report": 20, "export": 18, "identify": 14, "evaluate": 14, "train": 8}

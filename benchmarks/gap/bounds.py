@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks.gap.plants import GapPlant
-from hframe_gym.atomic_files import write_text
 from hframe_gym.errors import InputError
 from hframe_gym.evaluation import BANDS, BOUND_BAND
+from hframe_gym.files import write_text
 from hframe_gym.machine import Machine
 from tests.reference_simulator import Array
 from tests.rigs.outside_effects import OutsideEffect

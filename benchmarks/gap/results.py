@@ -20,9 +20,9 @@ from benchmarks.gap.bounds import stored_bounds
 from benchmarks.gap.control_loop import DURATION_S
 from benchmarks.gap.entries import GapEntry, sha256_of
 from benchmarks.gap.protocol import DIGEST, EPISODES, NAME, PARTS
-from hframe_gym.atomic_files import write_text
 from hframe_gym.errors import InputError
 from hframe_gym.evaluation import installed_versions
+from hframe_gym.files import write_text
 from tests.reference_simulator import Array
 
 SCHEMA = 1

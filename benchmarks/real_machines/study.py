@@ -11,7 +11,7 @@ from rich.table import Table
 
 from benchmarks.results_file import FIGURES, ROOT, data_root
 from hframe_gym.arrays import Array
-from hframe_gym.atomic_files import atomic_file
+from hframe_gym.files import atomic_file
 from hframe_gym.identification import IdentificationResult
 from hframe_gym.machine import Machine
 

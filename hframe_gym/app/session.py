@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
-from ..atomic_files import atomic_file, write_text
 from ..errors import InputError
+from ..files import atomic_file, write_text
 from ..machine import Machine
 from ..operating_system import quoted
 from ..recordings import Interval, find_logs, load_machine, recording_files

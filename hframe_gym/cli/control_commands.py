@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..atomic_files import locked_folder, output_batch
 from ..distributed import map_tasks
 from ..errors import InputError
+from ..files import locked_folder, output_batch
 from ..operating_system import quoted
 from .app import (
     CONTROL_PERIOD,

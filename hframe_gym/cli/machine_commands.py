@@ -99,7 +99,7 @@ def show_machine(
         console.print(table)
     log(belt_mode_line(declared))
     if plot is not None:
-        from ..atomic_files import atomic_file
+        from ..files import atomic_file
         from ..machine import draw_machine
 
         figure = draw_machine(declared)

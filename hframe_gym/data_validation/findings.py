@@ -13,8 +13,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from ..atomic_files import write_text
 from ..errors import InputError, name_runs
+from ..files import write_text
 from ..machine import Machine
 
 Severity = Literal["fault", "advice", "note"]

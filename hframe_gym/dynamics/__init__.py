@@ -1,6 +1,5 @@
 """Equations of motion, their linearization, and simulation: the integrator and its compiled kernel (generated code)."""
 
-from ..cache_folder import cache_folder
 from .codegen.blocks import in_blocks
 from .codegen.kernel import Kernel, kernel_for, kernel_source_text
 from .codegen.machine_code import LANES
@@ -43,7 +42,6 @@ __all__ = [
     "StateSpace",
     "belt_forces",
     "belt_states",
-    "cache_folder",
     "delayed_voltages",
     "effect_forces",
     "effect_states",

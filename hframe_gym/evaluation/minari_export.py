@@ -22,11 +22,11 @@ from typing_extensions import override
 
 from .. import __version__
 from ..arrays import Actions, KeyedObservation, Mask
-from ..atomic_files import atomic_file, output_batch, scratch_folder
 from ..controllers import Controller
 from ..dynamics import NotFiniteError
 from ..envs import HFrameVectorEnv, as_task
 from ..errors import InputError
+from ..files import atomic_file, output_batch, scratch_folder
 from ..machine import BUILTIN_MACHINES, Machine
 from ..recordings import machine_to_dict, save_machine
 from .scenario import Scenario, make_controller

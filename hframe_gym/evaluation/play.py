@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from typing_extensions import override
 
 from ..arrays import Array
-from ..atomic_files import atomic_file
 from ..controllers import Controller, MotionModel
 from ..envs import HFrameEnv
 from ..envs.rendering import HEIGHT, TRAIL_LENGTH, WIDTH, Renderer, Scene, tool_point
 from ..errors import InputError
+from ..files import atomic_file
 from ..machine import position_of_point
 from .scenario import Scenario, make_controller
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..atomic_files import atomic_file
+from ..files import atomic_file
 from ..machine import AxisUnit
 from ..web_page import SERIES, Panel, color, legend_above, number, plot_style
 from .metrics import settling_times, unit_of_scores

@@ -24,8 +24,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ..arrays import Array
-from ..atomic_files import write_text
 from ..errors import InputError
+from ..files import write_text
 from .metrics import BANDS, BOUND_BAND, ratio_of_means, stored_bounds
 from .protocols import Draws, Entry, Protocol, get_protocol
 from .runner import SAMPLES_PER_PERIOD

@@ -15,11 +15,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..arrays import Array
-from ..atomic_files import write_text
 from ..controllers import Controller, EnvironmentController, period_concern
 from ..dynamics import Equations, MotionPoint, NotFiniteError
 from ..envs import MachineLike, RandomizationLike, SensorsLike, TaskLike
 from ..errors import InputError
+from ..files import write_text
 from ..machine import Machine
 from ..recordings import recorded_commands
 from .metrics import score_episodes, stored_bounds

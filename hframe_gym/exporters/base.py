@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import override
 
-from ..atomic_files import atomic_file, output_batch
 from ..errors import InputError
+from ..files import atomic_file, output_batch
 from ..machine import Coordinate, Machine, rest_positions_per_axis, rest_state
 from ..recordings import load_machine, machine_to_dict
 from ..registry import Registry

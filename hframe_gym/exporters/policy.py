@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from typing_extensions import override
 
-from ..atomic_files import atomic_file, output_batch
 from ..errors import InputError
+from ..files import atomic_file, output_batch
 from ..machine import observed_coordinates
 from .base import EXPORTERS, Exporter, argument, json_text, option
 

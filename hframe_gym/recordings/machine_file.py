@@ -11,9 +11,8 @@ from typing import Any, get_args
 
 from pydantic import ValidationError
 
-from ..atomic_files import write_text
 from ..errors import InputError, suggestion
-from ..file_limits import read_document
+from ..files import read_document, write_text
 from ..machine import BUILTIN_MACHINES, Component, Machine, Number, Plain
 from .machine_reader import MachineReader
 from .machine_schema import (

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ..atomic_files import write_text
 from ..errors import InputError, suggestion
+from ..files import write_text
 from ..machine import BUILTIN_MACHINES, METERS, RADIANS, Drive, Machine, Sensor, rest_positions_per_axis
 from .machine_file import machine_to_dict
 from .machine_reader import MachineReader

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from ..arrays import Array
-from ..atomic_files import atomic_file
 from ..errors import InputError
+from ..files import atomic_file
 from ..machine import DRIVE_KINDS, Drive, Machine, Trajectory
 from .quantities import split_unit
 from .table_file import (

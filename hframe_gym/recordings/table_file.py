@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..errors import InputError, one_line
-from ..file_limits import refuse_expansion, refuse_many_values
+from ..files import refuse_expansion, refuse_many_values
 from ..operating_system import quoted
 from .text_format import detect_format
 from .text_reader import Progress, read_columns

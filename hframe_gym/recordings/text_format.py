@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import BinaryIO, TextIO, cast
 
 from ..errors import InputError
-from ..file_limits import MAX_LINE, refuse_long_line
+from ..files import MAX_LINE, refuse_long_line
 from .quantities import is_unit
 
 _SAMPLE = MAX_LINE  # bytes that determine the format

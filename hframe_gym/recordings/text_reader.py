@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..errors import InputError
-from ..file_limits import refuse_expansion, refuse_long_line, refuse_many_values
+from ..files import refuse_expansion, refuse_long_line, refuse_many_values
 from .text_format import (
     MISSING_WORDS,
     TextFormat,

@@ -15,7 +15,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ..atomic_files import atomic_file, write_text
+from ..files import atomic_file, write_text
 
 MISSING_EXTRA = "reports need more packages: pip install 'hframe_gym[report]'"
 PANEL_WIDTH = 3.6  # in; 346 px, so that text keeps its size on a phone

@@ -20,7 +20,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from hframe_gym.atomic_files import write_text
+from hframe_gym.files import write_text
 from hframe_gym.machine import Machine
 from hframe_gym.recordings import Recording, load_machine, load_recordings, save_machine
 from tests import reference_simulator as reference

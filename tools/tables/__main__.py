@@ -9,7 +9,7 @@ from __future__ import annotations
 import argparse
 
 from benchmarks.results_file import ROOT
-from hframe_gym.atomic_files import write_text
+from hframe_gym.files import write_text
 from tools.tables.pages import pages
 
 

@@ -10,7 +10,7 @@ from typing import Any, TypeVar, cast
 import numba
 from numba.core import event
 
-from ...cache_folder import cache_folder
+from ...files import cache_folder
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 _njit: Any = numba.njit

@@ -16,8 +16,7 @@ import llvmlite.binding as llvm
 import numba
 from llvmlite import ir
 
-from ...atomic_files import atomic_file
-from ...cache_folder import cache_folder
+from ...files import atomic_file, cache_folder
 
 _LOCK = threading.RLock()
 _LOADED: dict[str, Any] = {}  # engines by the hash of their code, which exists as long as they do

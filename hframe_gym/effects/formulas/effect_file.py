@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from ...atomic_files import write_text
 from ...errors import InputError
+from ...files import write_text
 from ...machine import AppliedEffect, Effect, EffectParameter, Machine
 from ..smooth_table import HOOK_OF_KIND
 from .regression import Formula

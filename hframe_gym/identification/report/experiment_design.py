@@ -23,9 +23,9 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from ...arrays import Array
-from ...atomic_files import atomic_file
 from ...dynamics import simulate_batch
 from ...dynamics.simulation import Motion
+from ...files import atomic_file
 from ...machine import AppliedEffect, Machine
 from ...preparation.dataset import Dataset
 from ...recordings import recorded_commands

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from ...arrays import Array
-from ...atomic_files import output_batch
 from ...effects.smooth_table import TABLE_FAMILY
 from ...errors import InputError
+from ...files import output_batch
 from ...machine import Machine
 from ...web_page import number, write_page
 from ..fit.parameter_diagnostics import parameter_doubts, sum_text

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from ...arrays import Array
-from ...atomic_files import remove_file
 from ...effects.smooth_table import TABLE_FAMILY
+from ...files import remove_file
 from ...machine import AppliedEffect, Machine
 from ...web_page import Panel, color, legend_above, number, save_panels
 from .correlations import error_correlations

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...arrays import Array
-from ...atomic_files import atomic_file, output_batch, remove_file, write_text
 from ...effects.smooth_table import HOOK_OF_KIND
 from ...errors import merge_run_warnings
+from ...files import atomic_file, output_batch, remove_file, write_text
 from ...machine import AppliedEffect
 from ...preparation.dataset import Dataset
 from ...recordings import save_machine

@@ -11,13 +11,12 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from ...arrays import Array
-from ...atomic_files import complete_commit, newest
 from ...controllers import shorter_period
 from ...effects import EFFECTS
 from ...envs import EnvConfig
 from ...envs.workspace import workspace_of
 from ...errors import InputError
-from ...file_limits import read_arrays, read_document
+from ...files import complete_commit, newest, read_arrays, read_document
 from ...machine import Machine
 from ...operating_system import quoted
 from ...recordings import load_machine

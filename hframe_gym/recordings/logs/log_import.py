@@ -15,9 +15,8 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from ...arrays import Array
-from ...atomic_files import output_batch
 from ...errors import InputError
-from ...file_limits import read_document, read_json
+from ...files import output_batch, read_document, read_json
 from ...machine import Machine
 from ..cleaning import GAP_PERIODS
 from ..recording import Recording, run_name, write_recording

@@ -20,7 +20,7 @@ from typing_extensions import override
 
 from ....arrays import Array
 from ....errors import InputError
-from ....file_limits import refuse_expansion, refuse_many_values
+from ....files import refuse_expansion, refuse_many_values
 from ...recording import LONGEST_RUN
 from ...text_reader import Progress
 from ..log import Log

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from typing_extensions import override
 
 from ....errors import InputError
-from ....file_limits import read_json
+from ....files import read_json
 from ...text_reader import Progress
 from ..log import Log
 from .base import KNOWN_CONTENT, LOG_FORMATS, LogFormat

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from typing_extensions import override
 
 from ....errors import InputError
-from ....file_limits import expansion_limit, refuse_expansion
+from ....files import expansion_limit, refuse_expansion
 from ...text_reader import Progress
 from ..log import Log, log_columns
 from .base import LOG_FORMATS, LogFormat, require_extra

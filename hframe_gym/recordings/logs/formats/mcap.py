@@ -11,7 +11,7 @@ from typing import Any
 from typing_extensions import override
 
 from ....errors import InputError, one_line
-from ....file_limits import refuse_expansion
+from ....files import refuse_expansion
 from ..log import Log
 from .base import KNOWN_CONTENT, LOG_FORMATS, LogFormat, require_extra
 from .messages import MessageSource, UnreadableError, log_of_messages

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ....arrays import Array
 from ....errors import InputError
-from ....file_limits import refuse_many_values
+from ....files import refuse_many_values
 from ...text_reader import Progress
 from ..log import Log
 from .base import first_of

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing_extensions import override
 
 from ....errors import InputError
-from ....file_limits import read_arrays
+from ....files import read_arrays
 from ..log import Log
 from .base import LOG_FORMATS, LogFormat
 from .matlab import vector_log

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from typing_extensions import override
 
 from ....errors import InputError, one_line
-from ....file_limits import refuse_expansion
+from ....files import refuse_expansion
 from ...table_file import open_parquet, parquet_numbers, read_parquet_column
 from ...text_reader import Progress
 from ..log import Log, LogColumn, log_columns

@@ -18,7 +18,7 @@ from typing_extensions import override
 
 from ....arrays import Array
 from ....errors import InputError
-from ....file_limits import read_document, read_json, refuse_many_values
+from ....files import read_document, read_json, refuse_many_values
 from ...text_reader import Progress
 from ..foreign_files import is_json
 from ..log import Log, log_columns

@@ -26,7 +26,7 @@ from typing_extensions import override
 
 from ....arrays import Array
 from ....errors import InputError
-from ....file_limits import refuse_many_values
+from ....files import refuse_many_values
 from ...quantities import is_unit, normalize_unit
 from ...text_reader import Progress
 from ..log import Log

@@ -11,7 +11,7 @@ import warnings
 from functools import lru_cache
 from pathlib import Path
 
-from .operating_system import user_folder
+from ..operating_system import user_folder
 
 _CACHE_ROOM = 32e6  # bytes that must be free; a kernel takes about 50 kB, Numba's code of all loops 2 MB
 

@@ -17,8 +17,9 @@ from typing import Any
 import pytest
 from filelock import FileLock
 
-from hframe_gym import atomic_files
-from hframe_gym.atomic_files import (
+from hframe_gym.errors import InputError
+from hframe_gym.files import (
+    atomic,
     atomic_file,
     complete_commit,
     locked_folder,
@@ -28,7 +29,6 @@ from hframe_gym.atomic_files import (
     scratch_folder,
     write_text,
 )
-from hframe_gym.errors import InputError
 from tests.worker_tasks import write_repeatedly
 
 OLD = {"a.txt": "old a", "gone.txt": "old", "plots/p.txt": "old plot"}
@@ -185,10 +185,10 @@ def test_a_kill_at_every_system_call_leaves_the_old_or_the_new_output(tmp_path: 
 
 def test_a_second_process_is_refused_until_the_first_one_is_killed(tmp_path: Path) -> None:
     code = (
-        f"import time\nfrom hframe_gym.atomic_files import locked_folder\n"
+        f"import time\nfrom hframe_gym.files import locked_folder\n"
         f"with locked_folder({str(tmp_path)!r}):\n print('locked', flush=True)\n time.sleep(60)"
     )
-    root = Path(__file__).parents[1]
+    root = Path(__file__).parents[2]
     environment = os.environ | {"PYTHONPATH": str(root)}
     with subprocess.Popen(
         [sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, env=environment
@@ -355,7 +355,7 @@ def test_a_file_that_is_open_in_another_program_of_windows_is_named(
             move(source, target)
 
         monkeypatch.setattr(os, name, refuse)
-    monkeypatch.setattr(atomic_files, "_SCANNER_S", 0.05)
+    monkeypatch.setattr(atomic, "_SCANNER_S", 0.05)
     with pytest.raises(
         InputError, match=r"a\.txt: is open in another program, or write-protected; close it there"
     ):
