@@ -1,10 +1,11 @@
 """How much does an agent depend on the seed of its training? Ten trainings of a recipe: scores and learning curves.
 
-    python -m benchmarks.agent_seeds ppo_mix [sac ...] [--seeds 0 1 2 ...] [--jobs 1] [--out out/agent_seeds]
+    python -m benchmarks.agent_seeds ppo_mix [sac ...] [--seeds 0 1 2 ...] [--jobs 1] [--out out/agents/reach]
 
 It trains on the task `reach` from random weights and scores each agent on the 512 episodes of the protocol reach-v1,
 which no choice was based on (`benchmarks.agents.TRIAL`). Agents that the package ships were trained by the same
-command, and are not trained again. A run that was interrupted goes on with the next call. Results are added to
+command, and are not trained again. A run that was interrupted goes on with the next call. Entries of gap-v1 use the
+agents that were trained (`agent_folder`). Results are added to
 results/agent_seeds.json, which keeps recipes that are not run again; docs/figures/agent_seeds.png shows the learning
 curves, measured on 256 other episodes.
 """
@@ -24,15 +25,17 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from benchmarks.agents import SHIPPED, TRIAL, criterion, drive, ratio, scenario, scores
-from benchmarks.results_file import FIGURES, RESULTS, save_figure, write_results
-from hframe_gym.agents import Agent, Recipe, load_recipe, train
+from benchmarks.results_file import FIGURES, RESULTS, ROOT, save_figure, write_results
+from hframe_gym.agents import Agent, Recipe, load_recipe, shipped_agent_folder, train
 from hframe_gym.agents.agent_files import read_training_card
 from hframe_gym.distributed import map_tasks
+from hframe_gym.errors import InputError
 from hframe_gym.evaluation import stored_bounds
 
 NAME, TASK = "agent_seeds", "reach"
 COLORS = ("#1b6ca8", "#c4513d", "#3b7d4f", "#8a5fa8")
 CURVES = {"settling_s_0.2mm": "mean time until 0.2 mm, s", "success_0.05mm": "within 0.05 mm, %"}
+TRAINED = ROOT / "out" / "agents"  # agents of seeds that the package does not ship: TASK/NAME-seedN
 SLOWEST_S = 0.5  # s, upper end of the axis: untrained agents need the length of an episode
 
 
@@ -41,10 +44,7 @@ def trained(run: tuple[Recipe, int, Path]) -> Path:
     recipe, seed, folder = run
     shipped = SHIPPED / TASK / f"{recipe.name.removesuffix(f'_{TASK}')}-seed{seed}"
     for there in (shipped, folder):
-        if (
-            began(there, recipe)
-            and read_training_card(there / "card.json")["curve"][-1]["steps"] >= recipe.steps
-        ):
+        if complete(there, recipe):
             return there
     train(recipe, task=TASK, seed=seed, out=folder, resume=began(folder, recipe), log=lambda line: None)
     return folder
@@ -55,6 +55,36 @@ def began(folder: Path, recipe: Recipe) -> bool:
     file = folder / "card.json"
     settings = json.loads(json.dumps(recipe.as_dict()))  # as they are in a card
     return file.is_file() and bool(read_training_card(file)["settings"] == settings)
+
+
+def complete(folder: Path, recipe: Recipe) -> bool:
+    """Return whether a folder holds a complete run with the present settings of a recipe."""
+    if not began(folder, recipe):
+        return False
+    return bool(read_training_card(folder / "card.json")["curve"][-1]["steps"] >= recipe.steps)
+
+
+def agent_folder(name: str, task: str) -> Path:
+    """Find the folder of an agent: the one that the package ships, or one of another seed in out/agents.
+
+    Args:
+        name: Name of the agent with the seed of its training, for example "ppo_mix-seed4".
+        task: Name of the task, "reach" or "track".
+
+    Raises:
+        InputError: If there is no such agent; the message says how to train it.
+    """
+    if (SHIPPED / task / name).is_dir():
+        return shipped_agent_folder(name, task)
+    recipe, _, seed = name.rpartition("-seed")
+    folder = TRAINED / task / name
+    if not complete(folder, load_recipe(recipe, task)):
+        place = folder.relative_to(ROOT) if folder.is_relative_to(ROOT) else folder
+        raise InputError(
+            f"no agent {name!r} of the task {task}: the package ships none of this seed, and {place} holds no complete "
+            f"one; train it: hframe train {recipe} --task {task} --seed {seed} --out {place}"
+        )
+    return folder
 
 
 def summary(folders: Sequence[Path], seeds: Sequence[int]) -> dict[str, Any]:
@@ -118,7 +148,7 @@ def main() -> None:
     parser.add_argument("recipes", nargs="+", help="names of recipes without the task, for example ppo_mix")
     parser.add_argument("--seeds", type=int, nargs="+", default=list(range(10)))
     parser.add_argument("--jobs", type=int, default=1, help="number of parallel processes")
-    parser.add_argument("--out", type=Path, default=Path("out") / NAME, help="folder of the agents")
+    parser.add_argument("--out", type=Path, default=TRAINED / TASK, help="folder of the agents")
     arguments = parser.parse_args()
     file = RESULTS / f"{NAME}.json"
     results = json.loads(file.read_text("utf-8"))["recipes"] if file.exists() else {}

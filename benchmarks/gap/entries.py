@@ -15,7 +15,8 @@ command line.
 | `NAME-online` | online | parameters that NAME's estimator finds in practice are kept from one episode to the next |
 | `ppo-trained`, `apg-trained`, `residual-trained` | identified | agents, trained further on the corrected machine |
 
-The weights of an agent NAME are those of seed 0; `NAME-seed1-corrected` and the like are those of other seeds.
+The weights of an agent NAME are those of seed 0; `NAME-seed1-corrected` and the like are those of other seeds, which
+`hframe train` trains first where the package does not ship them (`benchmarks.agent_seeds.agent_folder`).
 """
 
 from __future__ import annotations
@@ -186,7 +187,7 @@ def _limited(covariance: Array, prior: Array) -> Array:
 class DesignedEntry(GapEntry):
     """A controller that is designed from a machine and runs on the estimates of a state estimator of this machine.
 
-    `RegisteredController` and `ShippedAgent` say how it is designed; `DeclaredMachine`, `IdentifiedMachine` and
+    `RegisteredController` and `SeededAgent` say how it is designed; `DeclaredMachine`, `IdentifiedMachine` and
     `OnlineMachine` say which machine it is. An entry is one of each.
 
     Attributes:
@@ -221,11 +222,11 @@ class RegisteredController(DesignedEntry):
         return CONTROLLERS.get(self.registered)(self.machine, PERIOD_S)
 
 
-class ShippedAgent(DesignedEntry):
-    """An agent that comes with the package: its weights, with the control laws of the machine.
+class SeededAgent(DesignedEntry):
+    """An agent of the package's recipes: its weights, with the control laws of the machine.
 
     Attributes:
-        agents: Names of the shipped agents by task.
+        agents: Names of the agents by task, with the seeds of their training.
     """
 
     learned = True
@@ -234,16 +235,17 @@ class ShippedAgent(DesignedEntry):
     @classmethod
     @override
     def files(cls) -> list[Path]:
-        from hframe_gym.agents import shipped_agent_folder
+        from benchmarks.agent_seeds import agent_folder
 
-        folders = [shipped_agent_folder(name, task) for task, name in cls.agents.items()]
+        folders = [agent_folder(name, task) for task, name in cls.agents.items()]
         return [folder / file for folder in folders for file in ("agent.json", "policy.safetensors")]
 
     @override
     def design(self, task: Task) -> Controller:
-        from hframe_gym.agents import Agent, shipped_agent_folder
+        from benchmarks.agent_seeds import agent_folder
+        from hframe_gym.agents import Agent
 
-        return Agent.load(shipped_agent_folder(self.agents[task.name], task.name), self.machine)
+        return Agent.load(agent_folder(self.agents[task.name], task.name), self.machine)
 
 
 class DeclaredMachine(DesignedEntry):
@@ -380,7 +382,7 @@ def _standard(declared: Machine, recorder: Recorder, folder: Path) -> Identified
     return identified(lambda: standard_session(recorder), recorder.session, declared, folder / "standard")
 
 
-# Names of the shipped agents of an entry, by task; where a task has none of this name, the nearest of its kind.
+# Recipes of the agents of an entry, by task; where a task has none of this name, the nearest of its kind.
 AGENTS = {
     "ppo": {"reach": "ppo", "track": "ppo"},
     "ppo_mix": {"reach": "ppo_mix", "track": "residual"},
@@ -450,7 +452,7 @@ def get_entry(name: str) -> type[GapEntry]:
         seed = seed or "0"
         agents = {task: f"{shipped}-seed{seed}" for task, shipped in AGENTS[agent].items()}
         name = f"{agent}-seed{seed}{name.removeprefix(base)}"  # every result states its seed
-        return _made(name, ShippedAgent, machine, agents=agents, **settings)
+        return _made(name, SeededAgent, machine, agents=agents, **settings)
     raise InputError(
         f"entry {name!r} is unknown; choose of {', '.join(entry_names())}, or package.module:Class"
     )

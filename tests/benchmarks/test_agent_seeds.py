@@ -5,9 +5,11 @@ import shutil
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
-from benchmarks.agent_seeds import draw, trained
+from benchmarks.agent_seeds import agent_folder, draw, trained
 from hframe_gym.agents import load_recipe, shipped_agent_folder
+from hframe_gym.errors import InputError
 from tools.tables.agents import agent_seeds
 
 
@@ -24,6 +26,18 @@ def test_complete_runs_are_used_again_and_others_continued(tmp_path, monkeypatch
     trained((replace(recipe, steps=recipe.steps - 1), 7, run))  # other settings: `train` refuses the folder
     trained((recipe, 8, tmp_path / "elsewhere"))
     assert resumed == [True, False, False]
+
+
+def test_agents_of_other_seeds_are_found_if_their_training_is_complete(tmp_path, monkeypatch):
+    monkeypatch.setattr("benchmarks.agent_seeds.TRAINED", tmp_path)
+    shipped = shipped_agent_folder("apg_mix-seed0", "reach")
+    assert agent_folder("apg_mix-seed0", "reach").samefile(shipped)
+    run = shutil.copytree(shipped, tmp_path / "reach" / "apg_mix-seed7")
+    assert agent_folder("apg_mix-seed7", "reach") == run
+    card = json.loads((run / "card.json").read_text())
+    (run / "card.json").write_text(json.dumps({**card, "curve": card["curve"][:-1]}))
+    with pytest.raises(InputError, match=f"hframe train apg_mix --task reach --seed 7 --out {run}"):
+        agent_folder("apg_mix-seed7", "reach")
 
 
 def _agent(seed, precise):

@@ -251,7 +251,7 @@ def test_names_of_entries() -> None:
     second = get_entry("ppo_mix-seed1-online")
     assert (second.track, second.learned, get_entry("pid").learned) == ("online", True, False)
     assert {file.parent.name for file in second.files()} == {"ppo_mix-seed1", "residual-seed1"}
-    with pytest.raises(InputError, match="no shipped agent 'ppo_mix-seed99'"):
+    with pytest.raises(InputError, match="hframe train ppo_mix --task reach --seed 99"):
         get_entry("ppo_mix-seed99").files()
     assert get_entry(f"{__name__}:Still") is Still
     for name in ("nothing", "no.such.module:Class", f"{__name__}:Constant", "pid-best", "pid-seed1"):
