@@ -7,10 +7,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from ..distributed import files_of, map_tasks, write_files
 from ..errors import InputError
 from ..files import newest, output_batch
 from ..machine import Machine
+from ..parallel import files_of, map_tasks, write_files
 from ..recordings import load_machine
 from .agent_files import RESUME_FILES, refuse_to_replace, sign_checkpoint
 from .optional_dependencies import require_training_packages

@@ -25,8 +25,8 @@ import optuna
 from benchmarks.results_file import write_results
 from hframe_gym.agents import Recipe, load_recipe, train
 from hframe_gym.agents.model_card import SECONDS_PER_MM
-from hframe_gym.distributed import LOCAL_RAY, map_tasks
 from hframe_gym.evaluation import BANDS
+from hframe_gym.parallel import LOCAL_RAY, map_tasks
 
 STEPS = 300_000
 SEED = 100  # the agents of the package have the seeds 0 to 9

@@ -26,9 +26,9 @@ from typing import Any, NamedTuple
 
 from benchmarks.results_file import ROOT, write_results
 from hframe_gym.agents import train
-from hframe_gym.distributed import LOCAL_RAY, map_tasks
 from hframe_gym.identification import identify
 from hframe_gym.machine import BUILTIN_MACHINES
+from hframe_gym.parallel import LOCAL_RAY, map_tasks
 from hframe_gym.recordings import load_recordings
 
 WORKERS = 2

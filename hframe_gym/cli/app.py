@@ -20,8 +20,8 @@ from rich.console import Console
 from typer.core import TyperCommand, TyperGroup
 from typing_extensions import override
 
-from ..distributed import LOCAL_RAY
 from ..help_texts import with_choices
+from ..parallel import LOCAL_RAY
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..distributed import map_tasks
 from ..errors import InputError
 from ..files import locked_folder, output_batch
 from ..operating_system import quoted
+from ..parallel import map_tasks
 from .app import (
     CONTROL_PERIOD,
     MAX_SEED,

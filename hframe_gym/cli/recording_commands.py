@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from ..distributed import files_of, map_tasks, write_files
 from ..errors import InputError
 from ..files import locked_folder, output_batch, remove_file
+from ..parallel import files_of, map_tasks, write_files
 from .app import (
     CommandWithChoices,
     MachineOption,

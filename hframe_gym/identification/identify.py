@@ -12,9 +12,9 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from ..distributed import single_threaded_linear_algebra
 from ..errors import InputError
 from ..machine import Machine
+from ..parallel import single_threaded_linear_algebra
 from ..preparation.dataset import Dataset, runs_that_should_move
 from ..preparation.division import divide_runs, moving_runs
 from ..preparation.excerpt import representative_part

@@ -29,7 +29,7 @@ from hframe_gym.files import (
     scratch_folder,
     write_text,
 )
-from tests.worker_tasks import write_repeatedly
+from tests.parallel.worker_tasks import write_repeatedly
 
 OLD = {"a.txt": "old a", "gone.txt": "old", "plots/p.txt": "old plot"}
 NEW = {"a.txt": "new a", "added.txt": "new", "plots/p.txt": "new plot"}

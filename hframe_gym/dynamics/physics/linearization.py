@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...arrays import Array
-from ...distributed import single_threaded_linear_algebra
 from ...machine import Machine
+from ...parallel import single_threaded_linear_algebra
 from .equations import Equations
 
 _SHORTEST_PART = 0.01  # of the longest step

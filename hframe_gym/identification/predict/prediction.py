@@ -19,10 +19,10 @@ from typing import TypeVar
 import numpy as np
 
 from ...arrays import Array
-from ...distributed import single_threaded_linear_algebra
 from ...dynamics import resolved_step, simulate_batch
 from ...dynamics.simulation import Motion, threads
 from ...machine import Machine, carried_through_contacts
+from ...parallel import single_threaded_linear_algebra
 from ...preparation.belt_stretch import rigid_basis
 from ...preparation.dataset import Dataset, PreparedRecording
 from ...preparation.interpolated_voltages import at_updates, update_times, updated_inputs

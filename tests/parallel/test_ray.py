@@ -18,7 +18,7 @@ import pytest
 pytest.importorskip("ray", reason="needs Ray: pip install 'hframe_gym[ray]'")
 pytestmark = pytest.mark.slow
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 SEEDS = (0, 1, 2)
 # Ray's workers have a lower priority by default, so that on a busy machine they would take long.
 ENVIRONMENT = os.environ | {"PYTHONPATH": str(ROOT), "RAY_worker_niceness": "0"}

@@ -16,15 +16,14 @@ from typing import Any
 import pytest
 import typer
 
-from hframe_gym import distributed
 from hframe_gym.agents import train, train_seeds
 from hframe_gym.agents.agent_files import refuse_unsigned
 from hframe_gym.cli.app import CommandWithChoices, RayOption
-from hframe_gym.distributed import files_of, map_tasks, write_files
 from hframe_gym.errors import InputError
-from tests.worker_tasks import draw, fail, threads_of
+from hframe_gym.parallel import files_of, local_processes, map_tasks, ray_cluster, worker, write_files
+from tests.parallel.worker_tasks import draw, fail, threads_of
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.mark.integration
@@ -53,7 +52,7 @@ def test_a_task_that_always_kills_its_worker_is_named(tmp_path: Path) -> None:
     task = partial(draw, folder=tmp_path, dies=4, times=99)
     with pytest.raises(InputError, match=r"^task 2 ended 3 worker processes, perhaps for lack of memory"):
         list(map_tasks(task, [3, 4], jobs=2))
-    assert len((tmp_path / "started_4").read_text().split()) == distributed.ATTEMPTS
+    assert len((tmp_path / "started_4").read_text().split()) == worker.ATTEMPTS
 
 
 @pytest.mark.integration
@@ -71,7 +70,7 @@ def test_workers_use_one_thread_and_the_program_keeps_its_settings(monkeypatch: 
 
 
 def test_another_version_in_a_worker_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(distributed, "_version", lambda: "99.0")
+    monkeypatch.setattr(local_processes, "own_version", lambda: "99.0")
     with pytest.raises(
         InputError, match=r"a worker has hframe_gym .*, this program 99\.0: install the same version"
     ):
@@ -82,8 +81,8 @@ def test_another_version_in_a_worker_is_refused(monkeypatch: pytest.MonkeyPatch)
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="reads the list of processes of Linux")
 def test_workers_end_with_a_program_that_is_killed(tmp_path: Path) -> None:
     code = (
-        "import sys, time\nfrom pathlib import Path\nfrom hframe_gym.distributed import map_tasks\n"
-        "from tests.worker_tasks import announce\n"
+        "import sys, time\nfrom pathlib import Path\nfrom hframe_gym.parallel import map_tasks\n"
+        "from tests.parallel.worker_tasks import announce\n"
         "if __name__ == '__main__':\n    list(map_tasks(announce, [sys.argv[1]] * 2, jobs=2))\n"
     )
     script = tmp_path / "program.py"
@@ -140,14 +139,14 @@ def test_a_missing_ray_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
 )
 def test_addresses_that_cannot_be_a_cluster(address: str, message: str) -> None:
     with pytest.raises(InputError, match=message.replace(".", r"\.")):
-        distributed._require_head_node(address)
+        ray_cluster._require_head_node(address)
 
 
 def test_an_address_where_nothing_listens_or_no_ray_answers() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         free = server.getsockname()[1]
     with pytest.raises(InputError, match=f"127.0.0.1:{free}: cannot be reached"):
-        distributed._require_head_node(f"127.0.0.1:{free}")
+        ray_cluster._require_head_node(f"127.0.0.1:{free}")
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,44 @@
+"""A task in its worker process, on any backend: one thread, and the version and settings of the calling program."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from importlib import import_module
+from typing import TypeVar
+
+from ..errors import InputError
+
+ATTEMPTS = 3  # of a task whose worker dies
+# One thread per worker, so that workers do not compete for cores. The results do not depend on the number of threads.
+_ONE_THREAD = dict.fromkeys(
+    ("HFRAME_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"
+)
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+def run_task(
+    function: Callable[[Item], Result], item: Item, version: str, settings: Mapping[str, str]
+) -> Result:
+    """Run a task in a worker, with one thread and the settings of the calling program."""
+    from threadpoolctl import threadpool_limits
+
+    if version != own_version():
+        raise InputError(
+            f"a worker has hframe_gym {own_version()}, this program {version}: install the same version on all machines"
+        )
+    os.environ.update(settings)
+    with threadpool_limits(1):  # libraries that are loaded later read the variables
+        return function(item)
+
+
+def own_version() -> str:
+    """Return the version of this package."""
+    return str(import_module(__name__.partition(".")[0]).__version__)
+
+
+def task_settings() -> dict[str, str]:
+    """Return the environment variables of a worker: those of this package as they are here, and one thread."""
+    return {k: v for k, v in os.environ.items() if k.startswith("HFRAME_")} | _ONE_THREAD
