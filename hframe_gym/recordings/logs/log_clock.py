@@ -1,6 +1,8 @@
-"""Clocks of logs: continue those that start anew, and say how times that repeat or go back are repaired."""
+"""Clocks of logs: continue counters that overflow, cut where a clock restarts, and say how other times are repaired."""
 
 from __future__ import annotations
+
+from itertools import pairwise
 
 import numpy as np
 
@@ -27,6 +29,13 @@ _COUNTERS = {
 _PERIODS_ACROSS = 3.0
 # Fraction of rows; fewer repeated times are single repeated rows, more are those of a coarse clock.
 _RARE = 0.1
+# A clock restarts if it goes back by more than this fraction of the time since its last start. Rows that were written
+# in a wrong order go back by a few periods.
+_RESTART = 0.5
+# Rows after a restart whose times are all earlier than the last one before it; after one wrong time they are not.
+_ROWS_EARLIER = 3
+# Fewer rows between two starts are what a buffer still held of the session before.
+_FEWEST_ROWS = 10
 
 
 def continued_counter(times: Array) -> tuple[Array, str]:
@@ -83,6 +92,29 @@ def _continued(times: Array, modulus: float, longest: float | None) -> tuple[Arr
     return result, int(back.sum())
 
 
+def clock_sections(time_s: Array) -> list[slice]:
+    """Cut a log where its clock restarts, as when a controller is reset while the logger runs.
+
+    Args:
+        time_s: Times, s, NaN where there is none, shape (n,).
+
+    Returns:
+        Rows of each section, in the order of the log. Sections of fewer than ten rows are left out, unless a tenth of
+        the rows is in such sections: these are no restarts, and all rows are returned as one section.
+    """
+    rows = np.flatnonzero(np.isfinite(time_s))
+    times, starts = time_s[rows], [0]
+    for row in np.flatnonzero(np.diff(times) < 0.0) + 1:
+        before, since = times[row - 1], times[row - 1] - times[starts[-1]]
+        if before - times[row] > _RESTART * since and np.all(times[row : row + _ROWS_EARLIER] < before):
+            starts.append(int(row))
+    edges = [0, *rows[starts[1:]].tolist(), len(time_s)]
+    sections = [slice(first, end) for first, end in pairwise(edges)]
+    long = [section for section in sections if section.stop - section.start >= _FEWEST_ROWS]
+    kept = sum(section.stop - section.start for section in long)
+    return long if kept > (1.0 - _RARE) * len(time_s) else [slice(0, len(time_s))]
+
+
 def repair_of_times(time_s: Array) -> str:
     """Say how times that do not increase can be repaired, as the end of a message.
 
@@ -94,7 +126,7 @@ def repair_of_times(time_s: Array) -> str:
     """
     steps = np.diff(time_s)
     if np.any(steps < 0.0):
-        return "; did the clock restart? Cut the file there"
+        return "; are rows in a wrong order? Sort them, or delete those whose time is wrong"
     span = float(time_s[-1] - time_s[0])
     if span <= 0.0:
         return f"; if the rows are equally spaced, state their rate, e.g. --map {TIME}=1000Hz"

@@ -20,7 +20,8 @@ from ..text_reader import Progress
 from ..wrapping import find_wrap, known_moduli, unwrapped
 from ..wrong_units import WrongUnitError
 from .log import ROW_NUMBER, Log
-from .log_clock import continued_counter, continued_over_midnight, repair_of_times
+from .log_clock import clock_sections, continued_counter, continued_over_midnight, repair_of_times
+from .log_files import run_of
 from .log_mapping import ChannelSource
 from .measurement_units import TIME, Conversion, channel_dimension
 
@@ -63,8 +64,8 @@ class LogConverter:
 
     def convert(
         self, log: Log, sources: Sequence[ChannelSource], progress: Progress | None = None
-    ) -> tuple[Recording, list[str]]:
-        """Read a log and convert its channels to SI units in one recording.
+    ) -> tuple[list[Recording], list[str]]:
+        """Read a log and convert its channels to SI units, in one recording for each start of its clock.
 
         Channels may have different sampling rates, each rate with its column of time; rows are merged by time. Where a
         channel has no value in a row, a voltage keeps its last value and a measurement is NaN. A column of speeds is
@@ -76,8 +77,9 @@ class LogConverter:
             progress: Called with the number of bytes read since the last call.
 
         Returns:
-            recording: Recording with the name of the file: times, s, shape (n,), voltages, V, shape (n, drives), and
-                measurements, m or rad, shape (n, sensors). It begins where all voltages have a value.
+            recordings: One recording with the name of the run, or NAME_01, NAME_02, ... if the clock restarts: times,
+                s, shape (n,), commands, shape (n, drives), and measurements, shape (n, sensors). It begins where all
+                commands have a value.
             remarks: Sentences for the user about rows that were left out, held or merged.
 
         Raises:
@@ -90,9 +92,51 @@ class LogConverter:
         del values  # so that `_columns` can release the arrays
         for counter in (column for column in needed if column.kind == ROW_NUMBER):
             by_header[counter.header] = np.arange(_common_length(log, by_header), dtype=np.float64)
+        sections = self._sections(log, sources, by_header, remarks)
+        recordings = []
+        for number, (first_row, section) in enumerate(sections, start=1):
+            name = run_of(log) if len(sections) == 1 else f"{run_of(log)}_{number:02d}"
+            try:
+                recording = self._recording(log, sources, section, remarks)
+            except InputError as error:
+                origin = (
+                    f"; rows count from row {first_row + 1}, where the clock restarts" if first_row else ""
+                )
+                raise InputError(f"{error}{origin}") from None
+            recordings.append(dataclasses.replace(recording, name=name))
+        return recordings, list(dict.fromkeys(remarks))
+
+    def _sections(
+        self, log: Log, sources: Sequence[ChannelSource], by_header: Values, remarks: list[str]
+    ) -> list[tuple[int, Values]]:
+        """Return first row and values of each section between starts of the clock, and report these starts."""
+        times = [source for source in sources if source.channel == TIME and source.column is not None]
+        if len(times) != 1:
+            return [(0, by_header)]
+        time_s = self._seconds(log, times[0], by_header, [])
+        sections = clock_sections(time_s)
+        if len(sections) == 1 and sections[0] == slice(0, len(time_s)):
+            return [(0, by_header)]
+        if len(sections) > 1:
+            rows = ", ".join(str(section.start + 1) for section in sections[1:])
+            remarks.append(
+                f"the clock restarts: cut into {len(sections)} runs (new runs begin in row {rows})"
+            )
+        left_out = len(time_s) - sum(section.stop - section.start for section in sections)
+        if left_out:
+            verb = "rows left out that precede" if left_out > 1 else "row left out that precedes"
+            remarks.append(f"{left_out} {verb} a restart of the clock")
+        return [
+            (rows.start, {header: values[rows] for header, values in by_header.items()}) for rows in sections
+        ]
+
+    def _recording(
+        self, log: Log, sources: Sequence[ChannelSource], by_header: Values, remarks: list[str]
+    ) -> Recording:
+        """Return the recording of the values between two starts of the clock; append to the remarks."""
         try:
             time_s, columns = self._columns(log, sources, by_header, remarks)
-            return recording_from_columns(log.place, {TIME: time_s, **columns}, self.machine), remarks
+            return recording_from_columns(log.place, {TIME: time_s, **columns}, self.machine)
         except WrongUnitError as error:
             raise InputError(_unit_advice(error, sources)) from None
         except InputError as error:

@@ -5,7 +5,6 @@ Each log becomes one run, or several, cut where the machine rests or into pieces
 
 from __future__ import annotations
 
-import dataclasses
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -24,7 +23,7 @@ from ..table_file import SUFFIXES
 from ..text_reader import Progress, cumulative
 from .log import Log, headers_text
 from .log_conversion import LogConverter, split_at_rests
-from .log_files import find_logs, log_size, open_logs, run_of
+from .log_files import find_logs, log_size, open_logs
 from .log_mapping import ChannelSource, MappingOptions, map_columns
 from .measurement_units import channel_dimension
 
@@ -245,10 +244,15 @@ class _Importer:
         """Convert a log, which takes a size in bytes of its file, and return its runs."""
         sources = map_columns(log, self._machine, self._settings.mapping)
         self._log_mapping(log, sources)
-        recording, remarks = self._converter.convert(log, sources, self._progress)
-        recording = dataclasses.replace(recording, name=run_of(log))
-        self._bytes_per_row = size / len(recording.time_s)
-        remarks += _clock_remarks(recording.time_s)
+        recordings, remarks = self._converter.convert(log, sources, self._progress)
+        self._bytes_per_row = size / sum(len(recording.time_s) for recording in recordings)
+        for remark in remarks:
+            self._log(f"  {remark}")
+        return [run for recording in recordings for run in self._cut(recording)]
+
+    def _cut(self, recording: Recording) -> list[Recording]:
+        """Return the runs into which a recording is cut, and report its duration."""
+        remarks = _clock_remarks(recording.time_s)
         runs = [recording]
         self._names.append(recording.name)
         intervals = [i for i in self._settings.intervals if i.log in ("", recording.name)]

@@ -1,4 +1,4 @@
-"""Clocks that start anew are continued, times that repeat are refused with the option that repairs them."""
+"""Counters that start anew are continued, logs are cut where a clock restarts, and other times are refused."""
 
 from __future__ import annotations
 
@@ -44,12 +44,11 @@ def test_seconds_of_the_day_go_on_after_midnight(axis: Machine, tmp_path: Path) 
     np.testing.assert_allclose(run.time_s, seconds, atol=1e-9)
 
 
-def test_a_time_of_day_that_goes_back_by_hours_is_refused(axis: Machine, tmp_path: Path) -> None:
+def test_a_time_of_day_that_goes_back_by_hours_is_a_restart(axis: Machine, tmp_path: Path) -> None:
     seconds = [*(50_000 + 0.01 * np.arange(20)), *(0.01 * np.arange(20))]
-    with pytest.raises(
-        InputError, match=r"row 21, column time_s: 0 goes back.*did the clock restart\? Cut the file"
-    ):
-        imported(tmp_path, axis, "Time", [time_of_day(s) for s in seconds])
+    run, lines = imported(tmp_path, axis, "Time", [time_of_day(s) for s in seconds])
+    np.testing.assert_allclose(run.time_s, seconds[:20])
+    assert any("the clock restarts: cut into 2 runs" in line for line in lines)
 
 
 @pytest.mark.parametrize(
@@ -82,12 +81,63 @@ def test_a_counter_that_starts_anew_several_times_is_continued(axis: Machine, tm
     assert any("a counter of 16 bits started anew (6 times)" in line for line in lines)
 
 
-def test_a_clock_that_restarts_elsewhere_is_refused(axis: Machine, tmp_path: Path) -> None:
-    ticks = [*range(10_000, 60_000, 1000), *range(0, 50_000, 1000)]
-    with pytest.raises(
-        InputError, match=r"row 51, column time_s: 0 goes back, row 50 is 0.059; times must increase; d"
+def sessions(
+    folder: Path, machine: Machine, times: list[float], **options: object
+) -> tuple[list[Recording], str]:
+    """Import a log with some times, s; return its runs and what was printed."""
+    rows = [f"{time:.3f},{0.01 * k:.2f},{1e-4 * k:.4f}" for k, time in enumerate(times)]
+    (folder / "log.csv").write_text("\n".join(["time_s,v_V,x_m", *rows]))
+    lines: list[str] = []
+    import_logs(folder / "log.csv", folder / "runs", machine, ImportSettings(**options), log=lines.append)  # type: ignore[arg-type]
+    return load_recordings(folder / "runs", machine), "\n".join(lines)
+
+
+def test_a_log_is_cut_where_its_clock_restarts(axis: Machine, tmp_path: Path) -> None:
+    first, second, third = 5.0 + 0.01 * np.arange(40), 0.01 * np.arange(60), 0.2 + 0.01 * np.arange(30)
+    runs, text = sessions(tmp_path, axis, [*first, *second, *third])
+    assert [run.name for run in runs] == ["log_01", "log_02", "log_03"]
+    for run, times, rows in zip(
+        runs, (first, second, third), (range(40), range(40, 100), range(100, 130)), strict=True
     ):
-        imported(tmp_path, axis, "t_us", [str(t) for t in ticks])
+        np.testing.assert_allclose(run.time_s, times, atol=1e-9)
+        np.testing.assert_allclose(run.outputs[:, 0], 1e-4 * np.array(rows), atol=1e-9)
+    assert "the clock restarts: cut into 3 runs (new runs begin in row 41, 101)" in text
+
+
+def test_rows_of_the_session_before_are_left_out(axis: Machine, tmp_path: Path) -> None:
+    (run,), text = sessions(tmp_path, axis, [1.074, *(0.008 + 0.01 * np.arange(100))])
+    assert (run.name, len(run.time_s)) == ("log", 100)
+    assert "1 row left out that precedes a restart of the clock" in text
+
+
+def test_a_speed_is_integrated_and_a_log_cut_within_each_session(axis: Machine, tmp_path: Path) -> None:
+    times = [*(0.01 * np.arange(300)), *(0.01 * np.arange(300))]
+    rows = [f"{time:.2f},1,{0.5 if k < 300 else -0.5}" for k, time in enumerate(times)]
+    (tmp_path / "log.csv").write_text("\n".join(["time_s,v_V,speed", *rows]))
+    settings = ImportSettings(MappingOptions({"x_m": "speed"}, {"x_m": "m/s"}), every=1.5)
+    import_logs(tmp_path / "log.csv", tmp_path / "runs", axis, settings, log=str)
+    runs = load_recordings(tmp_path / "runs", axis)
+    assert [run.name for run in runs] == ["log_01_01", "log_01_02", "log_02_01", "log_02_02"]
+    np.testing.assert_allclose([run.outputs[-1, 0] for run in runs[1::2]], [1.495, -1.495])
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        [0.41, 0.40],  # two rows in a wrong order
+        [0.005],  # one wrong time
+    ],
+)
+def test_times_in_a_wrong_order_are_no_restart(wrong: list[float], axis: Machine, tmp_path: Path) -> None:
+    times = [*(0.01 * np.arange(40)), *wrong, *(0.42 + 0.01 * np.arange(40))]
+    with pytest.raises(InputError, match=r"column time_s: .* goes back.*are rows in a wrong order"):
+        sessions(tmp_path, axis, times)
+
+
+def test_a_fault_after_a_restart_names_where_its_rows_are_counted_from(axis: Machine, tmp_path: Path) -> None:
+    times = [*(1.0 + 0.01 * np.arange(40)), *(0.01 * np.arange(40)), 0.38, *(0.41 + 0.01 * np.arange(9))]
+    with pytest.raises(InputError, match=r"row 41, .* rows count from row 41, where the clock restarts"):
+        sessions(tmp_path, axis, times)
 
 
 def test_stamps_that_repeat_name_the_rate_that_repairs_them(axis: Machine, tmp_path: Path) -> None:

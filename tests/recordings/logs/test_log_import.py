@@ -745,7 +745,7 @@ def test_an_ambiguous_or_impossible_mapping_is_refused(
         (lambda t: with_line(t, 40, "0.0385,1,2,a,1,1,1"), "row 40, column phi1_rad: 'a' is not a number"),
         (
             lambda t: with_line(t, 40, "0.0005,1,2,1,1,1,1"),
-            "row 40, column time_s: 0.0005 goes back.*clock restart",
+            "row 40, column time_s: 0.0005 goes back.*wrong order",
         ),
         (
             lambda t: text_of(t, ";", ",").replace("0,04;", "1.000,04;"),
