@@ -81,7 +81,8 @@ def train(
             the task "reach". `recipe_names` lists them.
         machine: Machine to train on: object, built-in name such as "hframe", or path of a machine.json.
         task: Name of the task: "reach", "track", another registered one, or `module:name` (see `load_recipe`).
-        steps: Environment steps in total, including those before a resume. Default: the recipe's.
+        steps: Environment steps in total, including those before a resume; the last rollout is completed. Default: the
+            recipe's.
         seed: Seed of the network, the episodes and the algorithm, not negative.
         resume: Continue from the checkpoint in `out`.
         out: Folder for the agent and the checkpoint.
@@ -117,7 +118,13 @@ def train(
         if not (resume or force):
             refuse_to_replace(Path(out), recipe.name, task, declared.name, seed, alone=True)
         run = _Run(recipe, declared, task, seed, Path(out), log, progress)
-        return run.execute(recipe.steps if steps is None else steps, resume=resume, trust=trust)
+        card = run.execute(recipe.steps if steps is None else steps, resume=resume, trust=trust)
+        trained = card["curve"][-1]["steps"]
+        if steps is not None and trained > steps:
+            log(
+                f"trained {trained} steps, not {steps}: a run ends with a whole rollout of all its environments"
+            )
+        return card
 
 
 class _Run:

@@ -790,6 +790,7 @@ def test_the_proposed_commands_repeat_randomization_and_period(
     )
     folder = tmp_path / "an agent"
     out = hframe_command("train", "ppo", *options, "--steps", 1, "--out", folder)[1]
+    assert "trained 4096 steps, not 1: a run ends with a whole rollout" in out
     proposed = f"pid --machine axis --task reach --randomize wide --out '{folder / 'scores'}' --html"
     assert f"Next: hframe evaluate '{folder}' {proposed}\n" in out
     again = hframe_command("train", "ppo", *options, "--steps", 1, "--out", folder)

@@ -56,7 +56,11 @@ def train(
     ] = None,
     steps: Annotated[
         int | None,
-        typer.Option(min=1, max=10**12, help="Environment steps in total (default: the recipe's)."),
+        typer.Option(
+            min=1,
+            max=10**12,
+            help="Environment steps in total; the last rollout is completed (default: the recipe's).",
+        ),
     ] = None,
     seed: Annotated[
         list[int] | None,

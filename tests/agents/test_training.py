@@ -43,7 +43,9 @@ def test_ppo_learns_and_the_best_agent_of_the_curve_is_saved(tmp_path):
     card = train("ppo", steps=200_000, out=tmp_path, log=lines.append)
     first, last = card["curve"][0], card["curve"][-1]
     assert last["final_error_mm"] < 0.2 * first["final_error_mm"]
-    assert len(lines) == len(card["curve"]) > 5
+    *evaluations, end = lines
+    assert len(evaluations) == len(card["curve"]) > 5
+    assert end.startswith(f"trained {last['steps']} steps, not 200000: ")
     assert json.loads((tmp_path / "card.json").read_text()) == card
     kept = next(row for row in card["curve"] if row["steps"] == card["kept"])
     assert kept["settling_s_1mm"] <= min(row["settling_s_1mm"] for row in card["curve"]) + 0.05
