@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from ..quantities import Meaning, is_unit, meaning_of, normalize_unit, split_unit
@@ -180,3 +182,29 @@ def log_columns(headers: Sequence[str], units: Sequence[str], kinds: Sequence[st
         number = f".{repeats + 1}" if any(column.header == header for column in columns) else ""
         columns.append(LogColumn(header + number, name, unit_in_header or normalize_unit(unit), kind))
     return tuple(columns)
+
+
+def vector_log(path: Path, vectors: Sequence[tuple[str, NDArray[np.float64]]], kind: str) -> Log:
+    """Build the log of a file whose vectors have all been read, such as an archive of arrays.
+
+    Args:
+        path: The file.
+        vectors: Names and values, shape (rows,) each, of possibly different lengths.
+        kind: What the file is, for the user.
+
+    Returns:
+        Log with a column of each vector, shape (rows,).
+    """
+    names = [name for name, _ in vectors]
+    named = log_columns(names, [""] * len(names), ["number"] * len(names))
+    columns = tuple(
+        dataclasses.replace(column, rows=len(vector))
+        for column, (_, vector) in zip(named, vectors, strict=True)
+    )
+
+    def read(indices: Sequence[int], progress: Progress | None) -> tuple[list[NDArray[Any]], list[str]]:
+        if progress is not None:
+            progress(path.stat().st_size)
+        return [vectors[index][1] for index in indices], []
+
+    return Log(path, columns, (f"it is {kind}",), read)

@@ -6,14 +6,11 @@ MATLAB files of version 7.3 are HDF5 files, which need h5py (extra `hdf5`); tabl
 
 from __future__ import annotations
 
-import dataclasses
 import subprocess
 import sys
 import tempfile
 import zlib
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +18,7 @@ from typing_extensions import override
 
 from ....errors import InputError
 from ....files import expansion_limit, refuse_expansion
-from ...text_reader import Progress
-from ..log import Log, log_columns
+from ..log import Log, vector_log
 from .base import LOG_FORMATS, LogFormat, require_extra
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"  # at the beginning of the file, or after 512 bytes that MATLAB writes before it
@@ -67,32 +63,6 @@ def _open_mat(path: Path) -> Log:
         require_extra(path, "tables, timetables and timeseries", "matlab", ["matio"], advice)
         raise InputError(f"{path}: has no arrays of numbers, tables or timeseries; {advice}")
     return vector_log(path, vectors, kind)
-
-
-def vector_log(path: Path, vectors: Sequence[tuple[str, NDArray[np.float64]]], kind: str) -> Log:
-    """Build the log of a file whose vectors all have been read.
-
-    Args:
-        path: The file.
-        vectors: Names and values, shape (rows,) each, of possibly different lengths.
-        kind: What the file is, for the user.
-
-    Returns:
-        Log with a column of each vector, shape (rows,).
-    """
-    names = [name for name, _ in vectors]
-    named = log_columns(names, [""] * len(names), ["number"] * len(names))
-    columns = tuple(
-        dataclasses.replace(column, rows=len(vector))
-        for column, (_, vector) in zip(named, vectors, strict=True)
-    )
-
-    def read(indices: Sequence[int], progress: Progress | None) -> tuple[list[NDArray[Any]], list[str]]:
-        if progress is not None:
-            progress(path.stat().st_size)
-        return [vectors[index][1] for index in indices], []
-
-    return Log(path, columns, (f"it is {kind}",), read)
 
 
 def _mat_vectors(path: Path, kind: str) -> list[tuple[str, NDArray[np.float64]]]:

@@ -8,9 +8,8 @@ from typing_extensions import override
 
 from ....errors import InputError
 from ....files import read_arrays
-from ..log import Log
+from ..log import Log, vector_log
 from .base import LOG_FORMATS, LogFormat
-from .matlab import vector_log
 from .matlab_vectors import vectors
 
 _ARCHIVE = b"PK\x03\x04"
