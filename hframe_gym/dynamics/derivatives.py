@@ -275,12 +275,12 @@ class DifferentiableMotion:
         """Compute the readings of the sensors, without noise and delay.
 
         Args:
-            states: States, SI, shape (B, n, S).
+            states: States, SI, shape (B, N, S).
             parameters: Parameters, SI, shape (B, P).
             parallel: Whether to distribute the machines over threads.
 
         Returns:
-            Readings, m or rad, shape (B, n, sensors).
+            Readings, m or rad, shape (B, N, sensors).
         """
         parameters = np.ascontiguousarray(parameters, dtype=np.float64)
         travel = states[:, :, : self._count] * self._units(parameters)[:, None, : self._count]
@@ -299,13 +299,13 @@ class DifferentiableMotion:
         """Compute the derivatives of a number from its derivatives with respect to the readings of the sensors.
 
         Args:
-            states: States, SI, shape (B, n, S).
+            states: States, SI, shape (B, N, S).
             parameters: Parameters, SI, shape (B, P).
-            by_readings: Derivatives by the readings, 1/m or 1/rad, shape (B, n, sensors).
+            by_readings: Derivatives by the readings, 1/m or 1/rad, shape (B, N, sensors).
             parallel: Whether to distribute the machines over threads.
 
         Returns:
-            states: Derivatives by the states, shape (B, n, S).
+            states: Derivatives by the states, shape (B, N, S).
             parameters: Derivatives by the parameters, shape (B, P).
         """
         parameters = np.ascontiguousarray(parameters, dtype=np.float64)

@@ -153,11 +153,11 @@ def ohmic_currents(machine: Machine, velocities: Array, inputs: Array) -> Array:
 
     Args:
         machine: Machine; its effects on the voltage are included.
-        velocities: Velocities, m/s or rad/s, shape (n, coordinates).
-        inputs: Commanded voltages, V, held from each sample until the next, shape (n, drives).
+        velocities: Velocities, m/s or rad/s, shape (N, coordinates).
+        inputs: Commanded voltages, V, held from each sample until the next, shape (N, drives).
 
     Returns:
-        Currents, A, shape (n, drives); at the first sample those with the first voltage.
+        Currents, A, shape (N, drives); at the first sample those with the first voltage.
     """
     equations = Equations(machine)
     point = equations.point(np.zeros_like(velocities), velocities)

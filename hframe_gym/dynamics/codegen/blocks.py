@@ -20,10 +20,10 @@ def in_blocks(values: NDArray[np.float64]) -> NDArray[np.float64]:
     `LANES` is 16 on processors with AVX-512, otherwise 8.
 
     Args:
-        values: n values (parameters or states) of each of B machines, shape (B, n), B >= 1.
+        values: Parameters or states of B machines, at least one, SI, shape (B, K).
 
     Returns:
-        Blocks, shape (ceil(B / LANES), n, LANES); copies of the last machine fill the last block.
+        Blocks, shape (ceil(B / LANES), K, LANES); copies of the last machine fill the last block.
     """
     count = -(-len(values) // LANES) * LANES
     padded = np.concatenate([values, np.repeat(values[-1:], count - len(values), axis=0)])
@@ -38,9 +38,9 @@ def read_block(rows: Any, begin: int, block: Any) -> None:
     """Copy LANES rows of an array to the columns of a block; callable in compiled code only.
 
     Args:
-        rows: Values of n machines, any unit, shape (n, k).
+        rows: Values of B machines, any unit, shape (B, K).
         begin: Row of the first machine of the block.
-        block: Output, shape (k or more, LANES); its size is not checked. If fewer than LANES rows
+        block: Output, shape (K or more, LANES); its size is not checked. If fewer than LANES rows
             remain, further columns repeat the last row.
     """
     if begin + LANES <= rows.shape[0]:
@@ -61,7 +61,7 @@ def write_block(block: Any, begin: int, count: int, rows: Any) -> None:
         block: Values of LANES (8 or 16) machines, any unit, shape (count or more, LANES).
         begin: Row of the first machine of the block.
         count: Number of values per machine.
-        rows: Output, shape (n, count or more). If fewer than LANES rows remain, further columns are ignored.
+        rows: Output, shape (B, count or more). If fewer than LANES rows remain, further columns are ignored.
     """
     if begin + LANES <= rows.shape[0]:
         for k in range(count):

@@ -264,12 +264,12 @@ def readings_back(
 
     Args:
         read_sensors_back: Address of the function.
-        states: Belt travel, m, and further rows, shape (B, n, rows).
+        states: Belt travel, m, and further rows, shape (B, N, rows).
         parameters: Machine parameters, SI, shape (B, parameters).
-        adjoint: Derivatives by the readings, 1/m or 1/rad, shape (B, n, sensors).
+        adjoint: Derivatives by the readings, 1/m or 1/rad, shape (B, N, sensors).
         first: Index of the first block.
         last: Index after the last block.
-        states_out: Output, derivatives by the states, shape (B, n, rows).
+        states_out: Output, derivatives by the states, shape (B, N, rows).
         parameters_out: Output, derivatives by the parameters, shape (B, parameters).
     """
     block_parameters = np.zeros((parameters.shape[1], LANES))
@@ -297,11 +297,11 @@ def readings_forward(read_sensors: int, states, parameters, first: int, last: in
 
     Args:
         read_sensors: Address of the kernel's function.
-        states: Belt travel, m, and further rows, shape (B, n, rows).
+        states: Belt travel, m, and further rows, shape (B, N, rows).
         parameters: Machine parameters, SI, shape (B, parameters).
         first: Index of the first block.
         last: Index after the last block.
-        readings: Output, m or rad, shape (B, n, sensors).
+        readings: Output, m or rad, shape (B, N, sensors).
     """
     block_parameters = np.zeros((parameters.shape[1], LANES))
     state = np.zeros((states.shape[2], LANES))

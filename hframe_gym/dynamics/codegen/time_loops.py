@@ -20,8 +20,8 @@ def held_mean(time, values, start: float, end: float, hint: int) -> float:
     """Return the mean over [start, end] of an input that is held from each time until the next, in its unit.
 
     Args:
-        time: Sample times, s, ascending, shape (n,).
-        values: Input at the samples, any unit, shape (n,); the first value also acts before the first sample.
+        time: Sample times, s, ascending, shape (N,).
+        values: Input at the samples, any unit, shape (N,); the first value also acts before the first sample.
         start: Start of the interval, s.
         end: End of the interval, s, later than `start`; it may be later than the last sample.
         hint: Index of the sample at which the search for the start of the interval begins; any index is allowed.
@@ -45,7 +45,7 @@ def parabola(time, i: int, delay: float) -> tuple:
     """Return weights that interpolate a delayed value of a signal by a parabola through three of its samples.
 
     Args:
-        time: Sample times, s, ascending, shape (n,).
+        time: Sample times, s, ascending, shape (N,).
         i: Index of the present sample; later ones are not used. With two samples (i = 1) the interpolation is linear.
         delay: Time before the present sample, s; times before the first sample count as that sample.
 
@@ -73,7 +73,7 @@ def most_steps(time, longest_step: float) -> int:
     """Return the largest number of integration steps between two consecutive samples, at least 1.
 
     Args:
-        time: Sample times, s, shape (n,).
+        time: Sample times, s, shape (N,).
         longest_step: Largest step of the integrator, s.
     """
     steps = 1
@@ -115,7 +115,7 @@ def copy_lanes(block: int, i: int, rows, table) -> None:
 
     Args:
         rows: Values of the block (states or readings, any unit), shape (k or more, LANES); the first k rows are copied.
-        table: Output for B machines and n samples, in the unit of the rows, shape (B, n, k); if empty, nothing is done.
+        table: Output for B machines and N samples, in the unit of the rows, shape (B, N, k); if empty, nothing is done.
     """
     first = block * LANES
     if first + LANES <= table.shape[0]:  # a constant number of machines: twice as fast
@@ -135,9 +135,9 @@ def delay_readings(time, i: int, sensor_delays, past_readings, reading) -> None:
     The readings become row i of `past_readings`. Those of sensors with a delay are then interpolated between its rows.
 
     Args:
-        time: Sample times, s, shape (n,).
+        time: Sample times, s, shape (N,).
         sensor_delays: Delay of each sensor, s, shape (sensors, LANES), one machine per column.
-        past_readings: Readings without delay, m or rad, shape (n, sensors, LANES), up to sample i - 1; row i is added.
+        past_readings: Readings without delay, m or rad, shape (N, sensors, LANES), up to sample i - 1; row i is added.
         reading: Readings of sample i, m or rad, shape (sensors, LANES): without delay on entry, delayed on return.
     """
     for j in range(reading.shape[0]):
@@ -163,7 +163,7 @@ def inject_outputs(block: int, i: int, measured, gains, reading, innovation, sta
     all lanes, so that they are vector instructions.
 
     Args:
-        measured: Measurements, m or rad, shape (1 or B, n, sensors), NaN where not measured.
+        measured: Measurements, m or rad, shape (1 or B, N, sensors), NaN where not measured.
         gains: Change of belt travel (m) and of its rate (m/s) per m or rad of error, shape (2 * coordinates, sensors).
         reading: Simulated readings, m or rad, shape (sensors, LANES).
         innovation: Room for the differences, m or rad, shape (sensors, LANES).
@@ -208,11 +208,11 @@ def hold_inputs(
         block: Index of the block; its columns (lanes) are the machines from block * LANES on.
         delayed: Whether a drive has a delay.
         forced: Whether an external force acts on the coordinates.
-        time: Sample times, s, shape (n,).
+        time: Sample times, s, shape (N,).
         steps: Number of steps until the next sample.
         h: Length of a step, s.
-        inputs: Voltages, V, shape (1 or B, n, drives).
-        extra: External forces along the belt travel, N, shape (1 or B, n, coordinates).
+        inputs: Voltages, V, shape (1 or B, N, drives).
+        extra: External forces along the belt travel, N, shape (1 or B, N, coordinates).
         drive_delays: Delay of each drive, s, shape (drives, LANES).
         voltages: Output, V, shape (drives, LANES); if a drive has a delay, the mean voltages of every step, shape
             (steps * drives, LANES).
@@ -263,16 +263,16 @@ def rollout(
         functions: Addresses of the kernel's functions, in the order of `kernel_source.FUNCTIONS`.
         sizes: Numbers of coordinates, rows of the state, drives, sensors, parameters and step constants.
         flags: Whether a drive has a delay, a sensor has a delay, and external forces act.
-        time: Sample times, s, shape (n,).
-        inputs: Voltages, V, shape (1 or B, n, drives), held until the next sample.
+        time: Sample times, s, shape (N,).
+        inputs: Voltages, V, shape (1 or B, N, drives), held until the next sample.
         parameters: Machine parameters, SI, shape (B, parameters).
         start: First state without its time: belt travel (radius * angle), m, rate, m/s, effects, shape (B, rows - 1).
-        measured: Measurements to correct the state, m or rad, shape (1 or B, n, sensors), NaN where missing; or empty.
+        measured: Measurements to correct the state, m or rad, shape (1 or B, N, sensors), NaN where missing; or empty.
         gains: Change of travel and its rate per error, m and m/s per m or rad, shape (2 * coordinates, sensors).
-        extra: External forces, N, held until the next sample, shape (1 or B, n, coordinates); used if they act.
+        extra: External forces, N, held until the next sample, shape (1 or B, N, coordinates); used if they act.
         longest_step: Largest step of the integrator, s.
-        out: Output, first k rows of the state (travel, m; its rate, m/s) at the samples, shape (B, n, k), or empty.
-        readings: Output, sensor readings, m or rad, shape (B, n, sensors); empty if not needed.
+        out: Output, first k rows of the state (travel, m; its rate, m/s) at the samples, shape (B, N, k), or empty.
+        readings: Output, sensor readings, m or rad, shape (B, N, sensors); empty if not needed.
     """
     prepare, voltage_delays, advance, read_sensors, measurement_delays = functions
     coordinates, rows, drives, sensors, constants, derived_rows = sizes
