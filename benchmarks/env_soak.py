@@ -12,7 +12,7 @@ results/env_soak.json while it runs.
 from __future__ import annotations
 
 import argparse
-import resource
+import os
 import time
 from pathlib import Path
 from typing import Any
@@ -26,6 +26,7 @@ from hframe_gym.envs import HFrameVectorEnv
 from hframe_gym.machine import Machine
 from tests.rigs.random_rigs import describe_effects, draw_rig
 from tests.rigs.true_machine import true_machine
+from tools.posix import require_posix
 
 SEED, ENVS = 5, 4096
 RIG_SEED, RIGS = 20260718, 12  # of the rigs drawn at random
@@ -43,7 +44,7 @@ FRACTIONS = {"random actions": 0.75, "sensors and drives of the rig": 0.1, "20th
 
 def resident_megabytes() -> float:
     """Return the resident memory of this process, MB; Linux only."""
-    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 1e6
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def random_machines() -> dict[str, Machine]:
@@ -175,6 +176,7 @@ def soak(name: str, options: dict[str, Any], steps: int, console: Console, conte
 
 def main() -> None:
     """Run all environments and write the results."""
+    require_posix("benchmarks.env_soak")
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--steps", type=float, default=1e9, help="of all environments together, 10 ms each")
     arguments = parser.parse_args()

@@ -16,7 +16,6 @@ import faulthandler
 import multiprocessing
 import os
 import pickle
-import resource
 import tempfile
 import time
 from pathlib import Path
@@ -28,6 +27,7 @@ from benchmarks.results_file import write_results
 from tests.bad_inputs.commands import run_command
 from tests.bad_inputs.options import command_with_options
 from tests.bad_inputs.readers import READERS, WEIGHTS, Case, save_case
+from tools.posix import peak_megabytes, require_posix
 
 SUBJECTS = READERS | {"options": command_with_options}
 HANG_S = 30.0  # of processor time
@@ -43,6 +43,8 @@ def fuzz_reader(reader: str, count: int, number: int, folder: Path) -> None:
         number: Seed.
         folder: Folder for result.pkl, and case.pkl with the case that is running.
     """
+    import resource
+
     resource.setrlimit(resource.RLIMIT_AS, (MAX_ADDRESS_SPACE, MAX_ADDRESS_SPACE))
     result: dict[str, Any] = {"cases": 0, "refused": 0, "failures": [], "slowest_cpu_s": 0.0, "peak_MB": 0.0}
 
@@ -69,7 +71,7 @@ def fuzz_reader(reader: str, count: int, number: int, folder: Path) -> None:
         result["refused"] += outcome.code == 2
         if result["cases"] > 1:  # the first one compiles
             result["slowest_cpu_s"] = max(result["slowest_cpu_s"], seconds)
-        result["peak_MB"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        result["peak_MB"] = peak_megabytes()
         if problem:
             result["failures"].append((problem, case))
         (folder / "result.pkl").write_bytes(pickle.dumps(result))
@@ -117,6 +119,7 @@ def summarize(reader: str, count: int, number: int, save: Path | None) -> dict[s
 
 def main() -> None:
     """Run all readers, print a table and write the results."""
+    require_posix("benchmarks.fuzzing")
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -24,6 +24,7 @@ from benchmarks.results_file import write_results
 from hframe_gym.arrays import Array
 from hframe_gym.machine import Machine
 from hframe_gym.recordings import load_machine
+from tools.posix import require_posix
 
 PERIOD = 1e-3  # s
 CYCLE, MOVE = 10_000, slice(1000, 9000)  # rows of a cycle, and those of its motion
@@ -102,6 +103,7 @@ def measure(*words: str) -> dict[str, float]:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Write the logs, run the commands, and print what they take."""
+    require_posix("benchmarks.long_log")
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

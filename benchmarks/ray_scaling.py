@@ -16,7 +16,6 @@ import hashlib
 import json
 import math
 import os
-import resource
 import statistics
 import tempfile
 import time
@@ -30,6 +29,7 @@ from hframe_gym.identification import identify
 from hframe_gym.machine import BUILTIN_MACHINES
 from hframe_gym.parallel import LOCAL_RAY, map_tasks
 from hframe_gym.recordings import load_recordings
+from tools.posix import peak_megabytes, require_posix
 
 WORKERS = 2
 STEPS = 60_000  # of a training
@@ -55,8 +55,7 @@ def measured(run: Callable[[], bytes]) -> Done:
     """Run a task and measure it."""
     begin = time.process_time()
     digest = hashlib.sha256(run()).hexdigest()
-    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024e-6
-    return Done(digest, time.process_time() - begin, memory)
+    return Done(digest, time.process_time() - begin, peak_megabytes())
 
 
 def train_seed(seed: int, steps: int = STEPS) -> Done:
@@ -120,6 +119,7 @@ def compare(function: Callable[[Any], Done], items: Sequence[Any], repeats: int)
 
 def main() -> None:
     """Measure both kinds of tasks and write the results."""
+    require_posix("benchmarks.ray_scaling")
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

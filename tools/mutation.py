@@ -34,6 +34,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from hframe_gym.files import write_text
+from tools.posix import require_posix
 
 ROOT = Path(__file__).resolve().parents[1]
 OUTPUT = ROOT / "out" / "mutation" / "report.json"
@@ -303,6 +304,7 @@ def main(arguments: list[str] | None = None) -> int:
     Returns:
         Exit code: 1 if a test fails without any change.
     """
+    require_posix("tools.mutation")
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--count", type=int, default=150, help="number of mutants, about")
     parser.add_argument("--seed", type=int, default=0, help="seed of the sample")

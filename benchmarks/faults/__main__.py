@@ -11,6 +11,7 @@ from pathlib import Path
 from benchmarks.faults import determinism, disks, kills, load
 from benchmarks.faults.commands import Row, Stage
 from benchmarks.results_file import RESULTS, write_results
+from tools.posix import require_posix
 
 Log = Callable[[str], None]
 STAGED: dict[str, Callable[[Stage, Log], list[Row]]] = {
@@ -35,6 +36,7 @@ def save(group: str, rows: list[Row]) -> None:
 
 def main() -> None:
     """Run the groups that the command line names; by default all but `large`."""
+    require_posix("benchmarks.faults")
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import multiprocessing
-import resource
 import subprocess
 import sys
 import tempfile
@@ -21,6 +20,7 @@ from hframe_gym.effects import EFFECTS
 from hframe_gym.envs import HFrameVectorEnv
 from hframe_gym.machine import BUILTIN_MACHINES
 from hframe_gym.recordings import Recording, write_recording
+from tools.posix import peak_megabytes
 
 Log = Callable[[str], None]
 ENVS, WORKERS, SIDE_BY_SIDE, RUNS = 65_536, 4, 8, 500
@@ -68,9 +68,12 @@ def _many_environments() -> Row:
     if not np.array_equal(*observations):
         failures.append("differs from a batch of 8 with the same seeds")
     rate = 50 * ENVS / (time.perf_counter() - begin)
-    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
     return row(
-        "load", f"{ENVS} environments, 50 steps", 1, failures, f"{rate / 1e6:.2g} M steps/s, {memory:.0f} MB"
+        "load",
+        f"{ENVS} environments, 50 steps",
+        1,
+        failures,
+        f"{rate / 1e6:.2g} M steps/s, {peak_megabytes():.0f} MB",
     )
 
 
