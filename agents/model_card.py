@@ -18,10 +18,12 @@ from hframe_gym.arrays import Array
 from ..controllers import Controller
 from ..envs import EnvConfig
 from ..evaluation import (
+    PATH_ERRORS,
     Episodes,
     Scenario,
     installed_versions,
     rollout,
+    settling_in,
     settling_or_none,
     settling_times,
     unit_of_scores,
@@ -212,7 +214,7 @@ def _error_table(scores: Mapping[str, Any]) -> str:
     """Format contour and tracking errors, means over the episodes."""
     small = unit_of_scores(scores["success"]).small
     rows = [f"| error, {small} | rms | maximum |", "| --- | ---: | ---: |"]
-    for name in ("contour", "tracking"):
+    for name in PATH_ERRORS:
         score = scores[f"{name}_{small}"]
         rows.append(f"| {name} | {score['rms']['mean']:.3f} | {score['max']['mean']:.3f} |")
     return "\n".join(rows)
@@ -222,7 +224,7 @@ def _settling_table(scores: Mapping[str, Any]) -> str:
     """Format success and settling times by band."""
     rows = ["| band | success | mean settling, s | median | 95 % |", "| --- | ---: | ---: | ---: | ---: |"]
     for band in scores["success"]:
-        settling_s = settling_or_none(scores["success"][band], scores["settling_s"][band])
+        settling_s = settling_in(scores, band)
         times = " | ".join(
             f"{settling_s[key]:.3f}" if settling_s else "-" for key in ("mean", "median", "p95")
         )

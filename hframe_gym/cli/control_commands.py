@@ -185,8 +185,9 @@ def evaluate(
         _evaluate_by_protocol(context, list(dict.fromkeys(controllers)), protocol, out, ray)
         return
     from ..controllers import CONTROLLERS
+    from ..evaluation import unknown_bound_reasons
     from ..recordings import load_machine
-    from .tables import score_table, unknown_bound_reasons
+    from .tables import score_table
 
     declared = load_machine(machine)
     options: dict[str, Any] = {"randomize": randomize, "sensors": sensors, "episodes": episodes, "seed": seed}

@@ -27,7 +27,7 @@ from ..machine import (
 from ..registry import load_plugins
 from ..web_page import number
 
-PATH_ERRORS = {"contour": "contour", "tracking": "track"}
+_SHORT = {"contour": "contour", "tracking": "track"}  # headings of narrow columns
 BANDS, BOUND_BAND = tuple(METERS.bands), METERS.bound_band  # of protocols, whose machines have linear axes
 LISTED_MODES = 3
 
@@ -129,11 +129,10 @@ def score_table(scores: Mapping[str, Any]) -> Table:
         the value is unknown. For a path, root mean square and largest contour and tracking error, mm, follow instead.
         Rotary axes have bands of 10, 2 and 0.5 mrad, and errors in mrad.
     """
-    from ..evaluation import unit_of_scores
+    from ..evaluation import PATH_ERRORS, task_name, unit_of_scores
 
-    task = scores["task"].partition("(")[0].lower()
     title = (
-        f"{task}: {scores['episodes']} episodes, {scores['machine']}, randomize {scores['randomize']}, "
+        f"{task_name(scores)}: {scores['episodes']} episodes, {scores['machine']}, randomize {scores['randomize']}, "
         f"sensors {scores['sensors']}, seed {scores['seed']}"
     )
     controllers = scores["controllers"]
@@ -145,8 +144,8 @@ def score_table(scores: Mapping[str, Any]) -> Table:
         columns += [*(f"until\n{band}\ns" for band in bands), "over\nthe\nbound"]
     else:
         columns += [
-            f"{label}\nerror\n{kind}\n{unit.small}"
-            for label in PATH_ERRORS.values()
+            f"{_SHORT[error]}\nerror\n{kind}\n{unit.small}"
+            for error in PATH_ERRORS
             for kind in ("rms", "max")
         ]
     table = Table(
@@ -164,18 +163,17 @@ def score_table(scores: Mapping[str, Any]) -> Table:
 
 def _settling_cells(score: Mapping[str, Any], unit: AxisUnit) -> list[str]:
     """Return the mean settling times, s, and the ratio of the mean settling time to the mean time-optimal bound."""
-    from ..evaluation import settling_or_none
+    from ..evaluation import ratio_to_bounds, settling_in
 
-    settling = (settling_or_none(score["success"][band], score["settling_s"][band]) for band in unit.bands)
-    times = [f"{scores['mean']:.3f}" if scores else "-" for scores in settling]
-    over_bound = (score.get("over_bound") or {}).get(unit.bound_band) or {}
-    ratio = (over_bound.get("ratio_of_means") or {}).get("mean")
-    return [*times, f"{ratio:.3f}" if ratio else "-"]
+    values = (*(settling_in(score, band) for band in unit.bands), ratio_to_bounds(score))
+    return [f"{value['mean']:.3f}" if value else "-" for value in values]
 
 
 def _path_cells(score: Mapping[str, Any], unit: AxisUnit) -> list[str]:
     """Return contour and tracking errors, rms and maximum, means over the episodes, mm or mrad."""
-    keys = [f"{key}_{unit.small}" for key in PATH_ERRORS]
+    from ..evaluation import PATH_ERRORS
+
+    keys = [f"{error}_{unit.small}" for error in PATH_ERRORS]
     return [f"{score[key][kind]['mean']:.3f}" for key in keys for kind in ("rms", "max")]
 
 
@@ -231,12 +229,6 @@ def _over_bound(result: Mapping[str, Any], part: str, bound: NDArray[np.float64]
         return "-"
     ratio = paired_ratio(fill_unsettled(result["draws"][part][f"settling_s.{BOUND_BAND}"], duration_s), bound)
     return "{mean:.3f} ({0:.3f} to {1:.3f})".format(*ratio["ci95"], mean=ratio["mean"]) if ratio else "-"
-
-
-def unknown_bound_reasons(scores: Mapping[str, Any]) -> list[str]:
-    """List each reason why the time-optimal bound is missing in the scores (scores.json), once and in their order."""
-    reasons = (score.get("over_bound_reason") for score in scores["controllers"].values())
-    return list(dict.fromkeys(reason for reason in reasons if reason))
 
 
 def machine_table() -> Table:

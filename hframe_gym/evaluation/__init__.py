@@ -12,7 +12,6 @@ from .metrics import (
     score_episodes,
     settling_times,
     stored_bounds,
-    unit_of_scores,
 )
 from .minari_export import ExportedDataset, RandomActions, dataset_controller, export_dataset
 from .plots import plot_episode, save_plot
@@ -27,10 +26,18 @@ from .protocol_results import (
     protocol_bounds,
     read_result,
     result_content,
-    settling_or_none,
     write_result,
 )
 from .protocols import FIXED_OPTIONS, PROTOCOLS, Entry, Protocol, get_protocol, make_entry, run_protocol
+from .reported_scores import (
+    PATH_ERRORS,
+    ratio_to_bounds,
+    settling_in,
+    settling_or_none,
+    task_name,
+    unit_of_scores,
+    unknown_bound_reasons,
+)
 from .runner import Evaluation, evaluate, file_labels, rollout, write_motions, write_scores
 from .scenario import (
     CONTROLLER_SOURCES,
@@ -54,6 +61,7 @@ __all__ = [
     "EFFECT_FAMILIES",
     "FIXED_OPTIONS",
     "METRICS",
+    "PATH_ERRORS",
     "PROTOCOLS",
     "Comparison",
     "ControllerFiles",
@@ -89,16 +97,20 @@ __all__ = [
     "plot_episode",
     "protocol_bounds",
     "ratio_of_means",
+    "ratio_to_bounds",
     "read_result",
     "result_content",
     "rollout",
     "run_protocol",
     "save_plot",
     "score_episodes",
+    "settling_in",
     "settling_or_none",
     "settling_times",
     "stored_bounds",
+    "task_name",
     "unit_of_scores",
+    "unknown_bound_reasons",
     "with_absent_effects",
     "write_motions",
     "write_result",

@@ -9,7 +9,8 @@ from typing import Any
 from ..envs import ACTUATOR_PRESETS, RANDOMIZATION_PRESETS, SENSOR_PRESETS
 from ..operating_system import quoted
 from ..web_page import number
-from .metrics import BOUND_BAND, ranked_episodes
+from .metrics import ranked_episodes
+from .reported_scores import ratio_to_bounds, task_name
 from .scenario import Episodes
 
 _SENSORS = {
@@ -102,11 +103,11 @@ def next_steps(
             "this page, identify again with it."
         )
         steps.append(_step(text))
-    ratio = _over_bound(scores["controllers"][best])
-    if ratio is not None and ratio > _CLEAR_GAIN:
+    ratio = ratio_to_bounds(scores["controllers"][best])
+    if ratio is not None and ratio["mean"] > _CLEAR_GAIN:
         text = (
-            f"{best} needs {number(100.0 * (ratio - 1.0))} % more than the shortest possible time. If that matters, "
-            "evaluate the controller predictive, or train an agent."
+            f"{best} needs {number(100.0 * (ratio['mean'] - 1.0))} % more than the shortest possible time. If that "
+            "matters, evaluate the controller predictive, or train an agent."
         )
         steps.append(_step(text, _evaluation(scores, [best, "predictive"], machine)))
     text = f"Use {best} with a control period of {number(1e3 * period)} ms."
@@ -136,19 +137,12 @@ def _step(text: str, command: str = "") -> dict[str, str]:
     return {"text": text, "command": command}
 
 
-def _over_bound(score: Mapping[str, Any]) -> float | None:
-    """Return the mean settling time over the mean of the shortest possible times, None without bounds."""
-    ratio = ((score.get("over_bound") or {}).get(BOUND_BAND) or {}).get("ratio_of_means")
-    return None if ratio is None else float(ratio["mean"])
-
-
 def _evaluation(scores: Mapping[str, Any], names: Sequence[str], machine: str, **changes: Any) -> str:
     """Return the command that evaluates controllers as before but for some options; "" if no command does so."""
     if str(scores["randomize"]) not in RANDOMIZATION_PRESETS or str(scores["sensors"]) not in SENSOR_PRESETS:
         return ""
-    task = str(scores["task"])  # a name, or the text of a task object, such as "Track(path='circle', ...)"
-    path = re.search(r"path='([^']*)'", task)
-    options = {"task": task.partition("(")[0].lower(), "path": path[1] if path else None}
+    path = re.search(r"path='([^']*)'", str(scores["task"]))
+    options = {"task": task_name(scores), "path": path[1] if path else None}
     options |= {"randomize": scores["randomize"], "sensors": scores["sensors"]}
     options |= {"period": scores["period_s"], "episodes": scores["episodes"]} | changes
     words = [

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable
 from functools import cache
 from importlib import resources
 from typing import Any, NamedTuple, Protocol
@@ -16,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..machine import AXIS_UNITS, METERS, AxisUnit
+from ..machine import METERS
 from ..registry import Registry
 from .scenario import EpisodeConditions, Episodes, Scenario, episode_conditions
 
@@ -40,17 +39,6 @@ class MetricSet(Protocol):
 
 
 METRICS: Registry[MetricSet] = Registry("metric set")
-
-
-def unit_of_scores(names: Iterable[str]) -> AxisUnit:
-    """Find the unit of the tool position from the names of settling bands in scores, such as "2mrad"; default m.
-
-    Args:
-        names: Names that end in the name of a band or are one, for example the keys of `success`.
-    """
-    endings = tuple(names)
-    found = [u for u in AXIS_UNITS.values() if any(name.endswith(u.bound_band) for name in endings)]
-    return found[0] if found else METERS
 
 
 def score_episodes(

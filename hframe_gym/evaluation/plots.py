@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from ..files import atomic_file
 from ..machine import AxisUnit
 from ..web_page import SERIES, Panel, color, legend_above, number, plot_style
-from .metrics import settling_times, unit_of_scores
+from .metrics import settling_times
+from .reported_scores import unit_of_scores
 from .scenario import Episodes
 
 SMALLEST_ERROR_MM = 1e-3  # mm or mrad, lower end of the logarithmic error axis of a plot

@@ -174,18 +174,6 @@ def fill_unsettled(column: list[float | None], duration_s: float) -> Array:
     return np.array([duration_s if value is None else value for value in column], np.float64)
 
 
-def settling_or_none(success: float, settling: Any) -> Any:
-    """Return scores of settling times, in their unit, or None if no episode settles.
-
-    An episode that does not settle counts with its length. If none settles, the scores say nothing but this length.
-
-    Args:
-        success: Fraction of the episodes that settle, 0 to 1.
-        settling: Mean settling time, s, or an object with several scores of the settling times.
-    """
-    return settling if success else None
-
-
 def result_file_name(content: Mapping[str, Any]) -> str:
     """Return the name of a result file, PROTOCOL_ENTRY.json, for example "reach-v1_adaptive-pid.json".
 

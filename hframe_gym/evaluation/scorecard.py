@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from ..machine import AXIS_UNITS, AxisUnit
 from ..web_page import Panel, number, write_page
 from .advice import assumptions, next_steps, worst_move
-from .metrics import mean_with_interval, ranked_episodes, settling_times, unit_of_scores
+from .metrics import mean_with_interval, ranked_episodes, settling_times
 from .plots import (
     distance_panel,
     distribution_panel,
@@ -17,7 +17,14 @@ from .plots import (
     interval_panel,
     success_panel,
 )
-from .protocol_results import settling_or_none
+from .reported_scores import (
+    PATH_ERRORS,
+    ratio_to_bounds,
+    settling_in,
+    task_name,
+    unit_of_scores,
+    unknown_bound_reasons,
+)
 from .scenario import Episodes
 
 _FURTHER_METRICS = {  # column headings of the metrics that all tasks have
@@ -30,7 +37,6 @@ _FURTHER_METRICS = {  # column headings of the metrics that all tasks have
     "peak_belt_force_N": "peak belt force, N",
 }
 _FACTORS = {"saturation_share": 100.0}
-_PATH_ERRORS = {"contour": "contour error", "tracking": "tracking error"}
 
 
 def write_scorecard(
@@ -63,11 +69,10 @@ def write_scorecard(
     verdict = _reach_verdict(scores, recorded, unit) if reaches else _track_verdict(scores, unit)
     all_warnings = list(dict.fromkeys([*scores.get("warnings", ()), *warnings]))
     worst = worst_move(recorded[verdict.best]) if verdict.best and verdict.best in recorded else ""
-    reasons = [score.get("over_bound_reason") for score in controllers.values()]
     values = {
-        "title": f"Scorecard: {_task_name(scores)} on {scores['machine']}",
+        "title": f"Scorecard: {task_name(scores)} on {scores['machine']}",
         "scores": scores,
-        "task": _task_name(scores),
+        "task": task_name(scores),
         "heading": f"Best: {verdict.best}" if verdict.best else "No controller succeeds",
         "tone": verdict.tone,
         "sentences": verdict.sentences,
@@ -76,7 +81,7 @@ def write_scorecard(
         "steps": next_steps(
             scores, verdict.best, verdict.second, worst, all_warnings, machine or scores["machine"]
         ),
-        "bound_reasons": list(dict.fromkeys(reason for reason in reasons if reason)),
+        "bound_reasons": unknown_bound_reasons(scores),
         "reaches": reaches,
         "bands": list(unit.band_texts.values()),
         "bound_band": unit.band_texts[unit.bound_band],
@@ -89,11 +94,6 @@ def write_scorecard(
     path = Path(folder) / "scorecard.html"
     write_page(path, "hframe_gym.evaluation", "scorecard.html.j2", values)
     return path
-
-
-def _task_name(scores: Mapping[str, Any]) -> str:
-    """Return the name of the task; scores.json may hold the text of a task object, such as "Track(...)"."""
-    return str(scores["task"]).partition("(")[0].lower()
 
 
 class _Verdict(NamedTuple):
@@ -125,7 +125,7 @@ def _reach_verdict(scores: Mapping[str, Any], recorded: Mapping[str, Episodes], 
         key=lambda n: (-controllers[n]["success"][band], controllers[n]["settling_s"][band]["mean"]),
     )
     best = controllers[ranked[0]]
-    success, settling = best["success"][band], _settling(best, band)
+    success, settling = best["success"][band], settling_in(best, band)
     if settling is None:
         sentence = f"No controller comes to rest within {text} of its goal in any of the episodes."
         return _Verdict(None, "warning", [sentence])
@@ -133,7 +133,7 @@ def _reach_verdict(scores: Mapping[str, Any], recorded: Mapping[str, Episodes], 
         f"{ranked[0]} comes to rest within {text} of the goal in {100 * success:.1f} % of the "
         f"episodes, after {settling['mean']:.3f} s on average (95 % interval {_interval(settling, '.3f')} s)."
     ]
-    ratio = _bound_ratio(best, band)
+    ratio = ratio_to_bounds(best)
     if ratio:
         sentences.append(f"This is {ratio['mean']:.2f} times the shortest possible time.")
     equal = None
@@ -184,19 +184,6 @@ def _track_verdict(scores: Mapping[str, Any], unit: AxisUnit) -> _Verdict:
     return _Verdict(best, "good", [sentence])
 
 
-def _settling(score: Mapping[str, Any], band: str) -> Mapping[str, Any] | None:
-    """Return the settling times in a band; None if no episode settles."""
-    times: Mapping[str, Any] | None = settling_or_none(score["success"][band], score["settling_s"][band])
-    return times
-
-
-def _bound_ratio(score: Mapping[str, Any], band: str) -> Mapping[str, Any] | None:
-    """Return the ratio of mean settling time to mean bound with its interval, None without bounds."""
-    by_band = (score.get("over_bound") or {}).get(band) or {}
-    ratio: Mapping[str, Any] | None = by_band.get("ratio_of_means")
-    return ratio
-
-
 def _interval(value: Mapping[str, Any], form: str) -> str:
     """Return a 95 % interval as text: "0.312 to 0.331"."""
     low, high = value["ci95"]
@@ -217,8 +204,8 @@ def _cell(value: Mapping[str, Any] | None, form: str = ".3g", factor: float = 1.
 def _row(name: str, score: Mapping[str, Any], reaches: bool, unit: AxisUnit) -> dict[str, Any]:
     """Return one controller's row of the main table."""
     if reaches:
-        times = [_settling(score, band) for band in unit.bands]
-        cells = [_cell(value, ".3f") for value in (*times, _bound_ratio(score, unit.bound_band))]
+        times = [settling_in(score, band) for band in unit.bands]
+        cells = [_cell(value, ".3f") for value in (*times, ratio_to_bounds(score))]
     else:
         cells = [
             _cell(score[key][kind]) if key in score else _cell(None)
@@ -234,7 +221,7 @@ def _row(name: str, score: Mapping[str, Any], reaches: bool, unit: AxisUnit) -> 
 
 def _path_keys(unit: AxisUnit) -> dict[str, str]:
     """Return the keys of the errors along a path in scores, with their names for readers."""
-    return {f"{key}_{unit.small}": title for key, title in _PATH_ERRORS.items()}
+    return {f"{error}_{unit.small}": f"{error} error" for error in PATH_ERRORS}
 
 
 def _further_metrics(controllers: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
@@ -264,10 +251,10 @@ def _panels(
             panels.append(interval_panel(f"{title.capitalize()}, rms", unit.small, values))
     else:
         panels = [success_panel("Episodes that end within a band around the goal", success)]
-        values = {name: _settling(score, unit.bound_band) for name, score in controllers.items()}
+        values = {name: settling_in(score, unit.bound_band) for name, score in controllers.items()}
         if any(values.values()):
             panels.append(interval_panel(f"Settling time to {unit.band_texts[unit.bound_band]}", "s", values))
-        ratios = {name: _bound_ratio(score, unit.bound_band) for name, score in controllers.items()}
+        ratios = {name: ratio_to_bounds(score) for name, score in controllers.items()}
         if any(ratios.values()):
             panels.append(interval_panel("Settling time / shortest possible time", "", ratios))
     return panels + ([distribution_panel(recorded), distance_panel(recorded)] if recorded else [])

@@ -1,0 +1,59 @@
+"""What scores.json says of a controller, for tables, pages and advice."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from ..machine import AXIS_UNITS, METERS, AxisUnit
+
+PATH_ERRORS = ("contour", "tracking")  # of motion along a path, in scores with the unit, such as contour_mm
+
+
+def task_name(scores: Mapping[str, Any]) -> str:
+    """Return the name of the task; scores.json may hold the text of a task object, such as "Track(...)"."""
+    return str(scores["task"]).partition("(")[0].lower()
+
+
+def unit_of_scores(names: Iterable[str]) -> AxisUnit:
+    """Find the unit of the tool position from the names of settling bands in scores, such as "2mrad"; default m.
+
+    Args:
+        names: Names that end in the name of a band or are one, for example the keys of `success`.
+    """
+    endings = tuple(names)
+    found = [u for u in AXIS_UNITS.values() if any(name.endswith(u.bound_band) for name in endings)]
+    return found[0] if found else METERS
+
+
+def settling_or_none(success: float, settling: Any) -> Any:
+    """Return scores of settling times, in their unit, or None if no episode settles.
+
+    An episode that does not settle counts with its length. If none settles, the scores say nothing but this length.
+
+    Args:
+        success: Fraction of the episodes that settle, 0 to 1.
+        settling: Mean settling time, s, or an object with several scores of the settling times.
+    """
+    return settling if success else None
+
+
+def settling_in(score: Mapping[str, Any], band: str) -> Mapping[str, Any] | None:
+    """Return the settling times of a controller in a band, s: mean, interval and so on; None if no episode settles."""
+    times: Mapping[str, Any] | None = settling_or_none(score["success"][band], score["settling_s"][band])
+    return times
+
+
+def ratio_to_bounds(score: Mapping[str, Any]) -> Mapping[str, Any] | None:
+    """Return the mean settling time over the mean of the shortest possible times, with its interval; None without."""
+    by_band = (score.get("over_bound") or {}).get(
+        METERS.bound_band
+    ) or {}  # bounds exist for linear axes only
+    ratio: Mapping[str, Any] | None = by_band.get("ratio_of_means")
+    return ratio
+
+
+def unknown_bound_reasons(scores: Mapping[str, Any]) -> list[str]:
+    """List each reason why the time-optimal bound is missing in the scores (scores.json), once and in their order."""
+    reasons = (score.get("over_bound_reason") for score in scores["controllers"].values())
+    return list(dict.fromkeys(reason for reason in reasons if reason))
