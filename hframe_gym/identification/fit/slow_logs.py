@@ -18,10 +18,13 @@ Instruments also tell how late the voltages act: the derivative with respect to 
 computed from smoothed voltages one more instrument (`excess_delay`).
 
 A fit to residuals that the statistics of the interpolation make white (`voltage_errors`) uses the data better, where
-these statistics are right; instruments need none. Each is fitted to half of the runs, and the one that simulates the
-other half better is taken.
+these statistics are right; instruments need none. Both are fitted to half of the runs, and the weighted mean of their
+parameters that simulates the other half best is taken (stacking). With a choice of one of both, a difference of 1 %
+decided between 25 and 31 times the noise.
 
 References:
+    Sawa (1973), "The mean square error of a combined estimator and numerical comparison with the TSLS estimator".
+    Breiman (1996), "Stacked regressions".
     Söderström and Stoica (1983), "Instrumental Variable Methods for System Identification".
     Ljung (1999), "System Identification", sections 7.5 and 13.4.
 """
@@ -43,8 +46,8 @@ from ...arrays import Array
 from ...machine import Machine
 from ...preparation.dataset import Dataset, PreparedRecording
 from ..budget import spend
-from ..judge.observer import simulates_better
-from ..predict.free_parameters import bounded_step, prior_precision
+from ..judge.observer import simulates_runs_best
+from ..predict.free_parameters import bounded_step, prior_precision, values_at
 from ..predict.linearization import ResidualModel
 from ..predict.prediction import (
     POLISH_STEP,
@@ -66,6 +69,8 @@ _CHANCE = 1e-6  # probability that Gaussian errors exceed those at which a row i
 _ROWS_PER_COEFFICIENT = 10  # fewer rows do not determine an autoregression
 _ROUNDS = 10  # steps of the parameters, at most
 _LONGEST_STEP = 0.5  # of theta, where the residual is not linear
+# Weights of the fit by instruments that are compared; more would not change its simulations.
+_WEIGHTS = (0.0, 0.25, 0.5, 0.75, 1.0)
 _CONVERGED = 1.0  # decrease of the cost: that of one standard deviation
 
 
@@ -236,7 +241,8 @@ def fit_slow_log(fitted: Fit, data: Dataset) -> Fit:
     """Fit a machine again by instruments, if the voltages of its runs are interpolated between the rows.
 
     The cost is that part of the white residual that the instruments can represent, plus the prior (two-stage least
-    squares). An observer of the search's bandwidth corrects the predictions; the autoregression makes up for it.
+    squares). An observer of the search's bandwidth corrects the predictions; the autoregression makes up for it. The
+    parameters are those of `fitted`, of this fit, or between both, whichever simulate left-out runs best.
 
     Args:
         fitted: Final fit of a machine.
@@ -245,31 +251,38 @@ def fit_slow_log(fitted: Fit, data: Dataset) -> Fit:
     Returns:
         Fit with the same observer: machine, k parameters theta, dimensionless, shape (k,), cost (chi-squared).
         `fitted` itself if the voltages are held, the rows are too few, the steps do not converge, or instruments do not
-        simulate left-out runs better (`judge.observer.simulates_better`).
+        simulate left-out runs better (`judge.observer.simulates_runs_best`).
     """
-    if not data.has_voltage_errors or not _are_enough(data) or not _simulates_others_better(fitted, data):
+    if not data.has_voltage_errors or not _are_enough(data):
         return fitted
-    by_instruments = _by_instruments(fitted, data.without_voltage_errors())
-    return fitted if by_instruments is None else _finished(fitted, by_instruments, data)
+    weight = _weight_of_instruments(fitted, data)
+    by_instruments = _by_instruments(fitted, data.without_voltage_errors()) if weight else None
+    return fitted if by_instruments is None else _finished(fitted, by_instruments, weight, data)
 
 
-def _simulates_others_better(fitted: Fit, data: Dataset) -> bool:
-    """Return whether instruments lead to better simulations than least squares, of each half of the runs by the other.
+def _weight_of_instruments(fitted: Fit, data: Dataset) -> float:
+    """Return the weight of the fit by instruments with which each half of the runs simulates the other half best.
 
     Errors of the voltages add up in a simulation, and a fit adapts to those of its own runs.
     """
     halves = [data.with_runs([run.name for run in data.runs[first::2]]) for first in (0, 1)]
-    before, after = list[Array](), list[Array]()
+    costs = list[list[Array]]()
     for known, others in (halves, halves[::-1]):
         if not known.runs or not others.runs or not _are_enough(known):
-            return False
+            return 0.0
         by_squares = continue_fit(fitted, known, fitted.bandwidth)
         by_instruments = _by_instruments(by_squares, known.without_voltage_errors())
         if by_instruments is None:
-            return False
-        for costs, machine in ((before, by_squares.machine), (after, by_instruments.machine)):
-            costs.append(prediction_costs(machine, others, SIMULATION, longest_step=POLISH_STEP))
-    return simulates_better(np.concatenate(before), np.concatenate(after))
+            return 0.0
+        machines = (_between(by_squares, by_instruments, weight)[1] for weight in _WEIGHTS)
+        costs.append([prediction_costs(m, others, SIMULATION, longest_step=POLISH_STEP) for m in machines])
+    return _WEIGHTS[simulates_runs_best(np.concatenate(costs, axis=1))]
+
+
+def _between(by_squares: Fit, by_instruments: _Estimate, weight: float) -> _Estimate:
+    """Return the machine with weighted means of the parameters, from least squares (0) to instruments (1)."""
+    theta = (1.0 - weight) * by_squares.theta + weight * by_instruments.theta
+    return _Estimate(theta, by_squares.machine.replace(values_at(by_squares.free, theta)))
 
 
 def excess_delay(fitted: Fit, data: Dataset) -> ExcessDelay | None:
@@ -361,12 +374,16 @@ def _are_enough(data: Dataset) -> bool:
     return min(rows) > 2 * _ORDER and sum(rows) > _ROWS_PER_COEFFICIENT * _ORDER * sensors
 
 
-def _finished(fitted: Fit, estimate: _Estimate, data: Dataset) -> Fit:
-    """Return the fit with other parameters, and its cost with the observer that it had."""
-    equations = _equations_with_delay(fitted, estimate.theta, data.without_voltage_errors())
+def _finished(fitted: Fit, by_instruments: _Estimate, weight: float, data: Dataset) -> Fit:
+    """Return the fit with weighted means of the parameters, and its cost with the observer that it had.
+
+    The covariance is that of the instruments, the less accurate ones of both.
+    """
+    equations = _equations_with_delay(fitted, by_instruments.theta, data.without_voltage_errors())
     if equations is None:
         return fitted
-    data, machine = data.with_observers(fitted.observers), estimate.machine
+    theta, machine = _between(fitted, by_instruments, weight)
+    data = data.with_observers(fitted.observers)
     cost = prediction_cost(machine, data, fitted.bandwidth, longest_step=fitted.longest_step)
     floor = innovation_variance(machine, data, fitted.bandwidth)[0]
     if not math.isfinite(cost):
@@ -374,12 +391,12 @@ def _finished(fitted: Fit, estimate: _Estimate, data: Dataset) -> Fit:
     return dataclasses.replace(
         fitted,
         machine=machine,
-        theta=estimate.theta,
+        theta=theta,
         cost=cost,
         count=data.count,
         floor=floor,
         information=equations.without_delay().information,
-        covariance=equations.covariance(prior_precision(fitted.free), estimate.theta),
+        covariance=equations.covariance(prior_precision(fitted.free), by_instruments.theta),
     )
 
 

@@ -54,11 +54,15 @@ def simulates_best(
     return alternative if product < least else best
 
 
-def simulates_better(before: Array, after: Array) -> bool:
-    """Return whether other machines simulate runs better, all runs counting alike.
+def simulates_runs_best(costs: Array) -> int:
+    """Return the index of the machines that simulate runs best, all runs counting alike.
 
     Args:
-        before: Cost of each run in simulation, dimensionless, shape (runs,).
-        after: The same with the other machines, shape (runs,); not finite where its simulation diverges.
+        costs: Cost of each run in simulation with each of the machines, dimensionless, shape (machines, runs); not
+            finite where a simulation diverges.
+
+    Returns:
+        Index of the smallest geometric mean; of equal ones, the first. 0 if all machines diverge in some run.
     """
-    return bool(np.isfinite(after).all() and np.mean(np.log(after)) < np.mean(np.log(before)))
+    means = np.where(np.isfinite(costs).all(axis=1), np.mean(np.log(costs), axis=1), np.inf)
+    return int(np.argmin(means))

@@ -142,15 +142,19 @@ def is_worth_convergence(
     return not (error.cost - trial.cost) / error.count < criteria.min_trial_gain * enough
 
 
-def search_goes_on(error: FitError, selected: int, criteria: SelectionCriteria) -> bool:
+def search_goes_on(
+    error: FitError, selected: int, criteria: SelectionCriteria, *, noise_known: bool = True
+) -> bool:
     """Return whether to search for another effect: more than noise is left, and more effects are allowed.
 
     Args:
         error: Error with the effects selected up to now.
         selected: Their number.
         criteria: Decision thresholds `max_effects` and `min_gain`.
+        noise_known: Whether the size of the noise is known, so that an error of that size has no other cause. The
+            errors of voltages between the rows of a log are known within a factor of four only.
     """
-    return selected < criteria.max_effects and not only_noise_is_left(error, criteria)
+    return selected < criteria.max_effects and not (noise_known and only_noise_is_left(error, criteria))
 
 
 def is_worth_pairs(error: FitError, selected: int, criteria: SelectionCriteria) -> bool:

@@ -33,9 +33,9 @@ _CLEARLY_BETTER = 0.9
 # A simulation whose error is beyond both has drifted: times the noise, and percent of the motion before or after.
 _MAX_NOISE_RATIO, _MAX_PERCENT_OF_MOTION = 50.0, 50.0
 _BY_INSTRUMENTS = (
-    "The parameters and their standard deviations come from a fit by instruments (smoothed voltages and measurements), "
-    "which simulates runs to which it was not fitted better than a fit to the residual that the voltages' statistics "
-    "make white."
+    "The standard deviations come from a fit by instruments (smoothed voltages and measurements). The parameters are "
+    "those of this fit, or lie between them and those of a fit to the residual that the voltages' statistics make "
+    "white, whichever simulate runs to which they were not fitted best."
 )
 _CHANGED_STDS = 3.0  # Standard deviations beyond which a parameter differs from its declared value.
 _NAMED_CHANGES = 3  # Parameters that are named, those first that changed most.

@@ -96,7 +96,7 @@ class EffectSearch:
         bandwidth of the observer that corrects predictions by the measurements is chosen anew (maximum likelihood), and
         earlier effects may be replaced by others that now explain more. If no effect passes, the best one that failed
         is tried together with a second one, because each of two missing effects can hide the other. The search ends at
-        `max_effects` effects or when only noise is left (`min_gain`).
+        `max_effects` effects or when only noise of known size is left (`min_gain`).
 
         Args:
             current: Fit of the machine with the effects selected so far.
@@ -111,7 +111,8 @@ class EffectSearch:
         """
         criteria = self._criteria
         current, self.data = with_probable_starts(current, self.data, criteria)
-        while judge.search_goes_on(current.error, len(selected), criteria):
+        noise_known = not self.data.has_voltage_errors
+        while judge.search_goes_on(current.error, len(selected), criteria, noise_known=noise_known):
             self.reached = current, selected
             found = self._next_effect(current)
             extended = (

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from hframe_gym.identification.judge.observer import likeliest, simulates_best, simulates_better
+from hframe_gym.identification.judge.observer import likeliest, simulates_best, simulates_runs_best
 
 
 @pytest.mark.parametrize(
@@ -55,8 +55,12 @@ def test_the_final_fit_has_the_smallest_product_of_costs(
 
 
 @pytest.mark.parametrize(
-    ("after", "better"),
-    [([1.0, 9.0], True), ([10.0, 10.0], False), ([5.0, np.inf], False), ([2.0, 60.0], False)],
+    ("others", "best"),
+    [
+        ([[1.0, 9.0], [5.0, 5.0]], 1),
+        ([[10.0, 10.0], [5.0, np.inf]], 0),
+        ([[2.0, 60.0], [3.0, 30.0]], 2),  # the geometric mean counts
+    ],
 )
-def test_a_machine_simulates_better_if_all_runs_together_say_so(after: list[float], better: bool) -> None:
-    assert simulates_better(np.array([10.0, 10.0]), np.array(after)) == better
+def test_machines_simulate_best_if_all_runs_together_say_so(others: list[list[float]], best: int) -> None:
+    assert simulates_runs_best(np.array([[10.0, 10.0], *others])) == best

@@ -128,6 +128,11 @@ def test_the_search_ends_at_the_noise_or_at_five_effects(chi2: float, selected: 
     assert judge.search_goes_on(error(chi2), selected, CRITERIA) == goes_on
 
 
+def test_an_error_as_small_as_noise_of_unknown_size_may_have_a_cause() -> None:
+    assert judge.search_goes_on(error(0.6), 0, CRITERIA, noise_known=False)
+    assert not judge.search_goes_on(error(0.6), 5, CRITERIA, noise_known=False)
+
+
 @pytest.mark.parametrize(
     ("chi2", "selected", "worth"), [(10.0, 0, True), (1.49, 0, False), (10.0, 3, True), (10.0, 4, False)]
 )

@@ -15,6 +15,7 @@ from hframe_gym.identification.fit.covariance import with_uncertainty
 from hframe_gym.identification.fit.estimation import prediction_cost
 from hframe_gym.identification.fit.model_error import bandwidths_for, continue_fit
 from hframe_gym.identification.fit.slow_logs import (
+    _between,
     _by_instruments,
     _equations_with_delay,
     _smoothed,
@@ -204,6 +205,16 @@ def test_instruments_weigh_a_pulley_that_least_squares_find_too_heavy() -> None:
     deviations = np.array([uncertainty.std(name) for name in ("x.mass", "phi.mass")], float)
     assert np.all(np.abs(masses - exact) < 3.0 * deviations)
     assert np.all(deviations < 0.05 * exact)
+
+
+def test_parameters_lie_between_those_of_least_squares_and_of_instruments() -> None:
+    found = _by_instruments(least_squares(), interpolated())
+    assert found is not None
+    assert _between(least_squares(), found, 0.0).machine == least_squares().machine
+    theta, machine = _between(least_squares(), found, 0.25)
+    np.testing.assert_allclose(theta, 0.75 * least_squares().theta + 0.25 * found.theta)
+    masses = [m.parameters["phi.mass"] for m in (found.machine, machine, least_squares().machine)]
+    assert masses == sorted(masses)
 
 
 def test_instruments_do_not_contain_the_jitter_of_the_clock() -> None:
