@@ -17,20 +17,56 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from typing import NamedTuple
 
 from ..errors import InputError
+from ..machine import Machine
 
 DEFAULT_SECONDS = 120.0  # of processor time, whatever the number of cores; an engineer waits a minute or two
-# Parts of the budget after which a stage ends. What follows takes time as well: the tests of what was found and the
-# final fits took 5 to 20 % of the time of complete identifications, simulations of the held-out runs and the report a
-# few seconds.
-SEARCH_PART = 0.7  # search in complete runs
-EXCERPT_PART = 0.6  # search in a part of the runs, which must be followed by a fit to all rows
-ALL_ROWS_PART = 0.85  # this fit
-DESCRIPTION_PART = 0.85  # description of the remaining error, and comparison of the runs with each other
+SECOND_SEARCH_PART = 0.6  # part of the budget after which no search with other held-out runs begins
+COMPARISON_PART = 0.85  # part after which no comparison of the runs with each other begins
 
 # What the search does, processor time since the identification began, and the whole budget, s.
 Progress = Callable[[str, float, float], None]
+
+
+class Parts(NamedTuple):
+    """Parts of the budget after which the stages of an identification end, dimensionless.
+
+    The tests of what was found and the final fits took 5 to 20 % of the time of complete identifications. What follows
+    the last stage, simulations of the held-out runs and the report, takes a few seconds.
+
+    Attributes:
+        search: Search for effects.
+        tests: Tests of what a search that ended early has found; what they do not reach is not named.
+        all_rows: Fit to all rows, after a search in a part of them.
+        description: Description of the remaining error.
+    """
+
+    search: float
+    tests: float
+    all_rows: float
+    description: float
+
+
+_WITH_BELTS = Parts(search=0.7, tests=0.9, all_rows=0.9, description=0.9)
+_WITH_BELTS_IN_PART = Parts(search=0.6, tests=0.7, all_rows=0.85, description=0.85)
+# Where a search ends early, it rarely names the cause. The description, which then reduces the error most, takes 10 s
+# for the first effect.
+_WITHOUT_BELTS = Parts(search=0.6, tests=0.74, all_rows=0.74, description=0.9)
+_WITHOUT_BELTS_IN_PART = Parts(search=0.45, tests=0.55, all_rows=0.7, description=0.9)
+
+
+def parts_of(machine: Machine, *, in_part: bool = False) -> Parts:
+    """Return when the stages of an identification end: earlier without belts, where a description may follow.
+
+    Args:
+        machine: Machine that is identified.
+        in_part: Whether effects are searched for in a part of the rows, which a fit to all of them follows.
+    """
+    if machine.belts:
+        return _WITH_BELTS_IN_PART if in_part else _WITH_BELTS
+    return _WITHOUT_BELTS_IN_PART if in_part else _WITHOUT_BELTS
 
 
 class BudgetEndedError(Exception):
@@ -72,7 +108,7 @@ class Budget:
         self.error: float | None = None
         self._clock, self._progress = clock, progress
         self._ended: float | None = None  # time spent when the search ended
-        self._part = SEARCH_PART  # of the budget, after which the present stage ends
+        self._part = 1.0  # of the budget, after which the present stage ends
         self._began = clock()
 
     @property
@@ -124,8 +160,18 @@ class Budget:
         """
         return not self.interrupted and self.spent < part * self.seconds
 
+    def until(self, part: float, longest: float = math.inf) -> Budget:
+        """Return a budget of its own for a stage, which an earlier interruption does not end.
+
+        Args:
+            part: Part of this budget after which the stage ends, dimensionless.
+            longest: Processor time that the stage may take, s.
+        """
+        seconds = min(part * self.seconds - self.spent, longest)
+        return Budget(max(seconds, 0.0), clock=self._clock)
+
     @contextmanager
-    def limiting(self, part: float = SEARCH_PART) -> Iterator[None]:
+    def limiting(self, part: float = 1.0) -> Iterator[None]:
         """Let `spend` ask this budget within a `with` block.
 
         Args:

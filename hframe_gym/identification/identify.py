@@ -21,7 +21,7 @@ from ..preparation.excerpt import representative_part
 from ..preparation.session import Session, prepare_session
 from ..recordings import Recording
 from ..registry import load_plugins
-from .budget import DEFAULT_SECONDS, DESCRIPTION_PART, Budget
+from .budget import COMPARISON_PART, DEFAULT_SECONDS, Budget
 from .evidence.tried_effects import Log
 from .fit.run_differences import describe_run_differences
 from .judge.criteria import SelectionCriteria
@@ -106,7 +106,7 @@ def identify(
     outcome = delivered.evaluated.outcome
     remarks = (*found.remarks, *delivered.remarks)
     puzzling = bool(remarks) or outcome.verdict == "unexplained"
-    if puzzling and not found.outcome.unfinished and budget.has_time(DESCRIPTION_PART):
+    if puzzling and not found.outcome.unfinished and budget.has_time(COMPARISON_PART):
         runs = representative_part(found.comparable_runs(session.data), machine, every_run=True)
         # From the machine of the search: the one that is delivered may describe what the runs do not have in common.
         remarks += describe_run_differences(evaluated.outcome.after, runs, criteria)

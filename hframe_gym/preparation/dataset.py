@@ -187,6 +187,18 @@ class Dataset:
         """
         return dataclasses.replace(self, runs=tuple(run for run in self.runs if run.name in names))
 
+    def with_inputs(self, inputs: Mapping[str, Array]) -> Dataset:
+        """Return a copy with other voltages.
+
+        Args:
+            inputs: Voltages, V, shape (n, drives), by the name of the run.
+
+        Returns:
+            Copy; measurements, shape (n, sensors), are the same.
+        """
+        runs = (dataclasses.replace(run, inputs=inputs[run.name]) for run in self.runs)
+        return dataclasses.replace(self, runs=tuple(runs))
+
     @property
     def has_voltage_errors(self) -> bool:
         """Whether the voltages are interpolated between the rows, with errors that residuals take into account."""

@@ -10,16 +10,15 @@ import pytest
 from hframe_gym.errors import InputError
 from hframe_gym.identification import default_free_parameters, fit, identify
 from hframe_gym.identification.budget import (
-    ALL_ROWS_PART,
+    COMPARISON_PART,
     DEFAULT_SECONDS,
-    DESCRIPTION_PART,
-    EXCERPT_PART,
-    SEARCH_PART,
     Budget,
     BudgetEndedError,
+    parts_of,
     spend,
     spender,
 )
+from hframe_gym.machine import BUILTIN_MACHINES
 from tests.identification.single_axis import AXIS, axis_runs, limited_runs
 
 pytestmark = pytest.mark.unit
@@ -38,8 +37,8 @@ class Clock:
 
 def test_the_search_ends_after_its_part_of_the_budget() -> None:
     steps: list[tuple[str, float, float]] = []
-    budget = Budget(8.0 / SEARCH_PART, clock=Clock(), progress=lambda *step: steps.append(step))
-    with budget.limiting():
+    budget = Budget(16.0, clock=Clock(), progress=lambda *step: steps.append(step))
+    with budget.limiting(0.5):
         for doing in ("trial fit 1", "", "trial fit 2", ""):
             spend(doing)  # the clock advances at the check and at the report
         with pytest.raises(BudgetEndedError):
@@ -51,7 +50,7 @@ def test_the_search_ends_after_its_part_of_the_budget() -> None:
         ("trial fit 2", 8.0, budget.seconds),
     ]
     assert budget.spent >= 8.0
-    assert "the budget of 11 s of processor time ended" in budget.reason
+    assert "the budget of 16 s of processor time ended" in budget.reason
 
 
 def test_outside_a_search_nothing_is_limited() -> None:
@@ -99,13 +98,33 @@ def test_by_default_an_identification_takes_two_minutes_of_processor_time() -> N
 
 def test_the_page_states_when_each_stage_ends() -> None:
     page = (Path(__file__).parents[2] / "docs" / "identification.md").read_text(encoding="utf-8")
-    for stage, part in {
-        "search, in complete runs": SEARCH_PART,
-        "search, in a part of a long session": EXCERPT_PART,
-        "fit of what was found to all rows of a long session": ALL_ROWS_PART,
-        "description of the remaining error, comparison of the runs with each other": DESCRIPTION_PART,
-    }.items():
-        assert f"| {stage} | {100 * part:.0f} % |" in page
+    cases = [
+        parts_of(m, in_part=in_part)
+        for m in (BUILTIN_MACHINES["hframe"](), AXIS)
+        for in_part in (False, True)
+    ]
+    rows = {
+        "search": [p.search for p in cases],
+        "tests of what a search that ended early found": [p.tests for p in cases],
+        "fit of what was found to all rows": [p.all_rows if k % 2 else None for k, p in enumerate(cases)],
+        "description of the remaining error": [p.description if k > 1 else None for k, p in enumerate(cases)],
+    }
+    for stage, parts in rows.items():
+        columns = ("" if part is None else f" {100 * part:.0f} %" for part in parts)
+        assert f"| {stage} |{' |'.join(columns)} |" in page
+    assert f"begins after {100 * COMPARISON_PART:.0f} % of the budget" in page
+
+
+def test_a_stage_has_a_budget_of_its_own() -> None:
+    """It ends with its part of the budget or after the longest time; an interruption of the search does not end it."""
+    spent = [0.0]
+    budget = Budget(100.0, clock=lambda: spent[0])
+    spent[0] = 40.0
+    budget.stop()
+    assert budget.until(0.5).seconds == pytest.approx(10.0)
+    assert budget.until(0.5, 3.0).seconds == pytest.approx(3.0)
+    assert budget.until(0.3).seconds == 0.0
+    assert budget.until(0.5).has_time(1.0)
 
 
 def test_a_stage_may_end_after_another_part_of_the_budget() -> None:
@@ -152,11 +171,27 @@ def test_a_budget_that_does_not_end_changes_nothing_and_one_that_ends_keeps_what
         step for step in steps if step[0] in ("comparing rivals", "testing each effect beside the others")
     )
     early = identify(
-        runs, AXIS, budget=Budget((last[1] + 0.5) / SEARCH_PART, clock=Clock(), progress=lambda *step: None)
+        runs,
+        AXIS,
+        budget=Budget((last[1] + 0.5) / parts_of(AXIS).search, clock=Clock(), progress=lambda *step: None),
     )
     assert early.unfinished is not None
     assert [s.effect.label for s in early.effects] == ["current_limit@motor"]
     assert early.verdict == "effect_found"
+
+
+def test_what_there_is_no_time_to_test_is_not_named() -> None:
+    """The time for search and tests ends after an effect has been selected."""
+    stages: list[str] = []
+
+    def spent() -> float:
+        return parts_of(AXIS).tests if "comparing rivals" in stages else 0.0
+
+    budget = Budget(1.0, clock=spent, progress=lambda doing, *time: stages.append(doing))
+    result = identify(limited_runs([3.0, 3.0, 9.0]), AXIS, budget=budget)
+    assert result.effects == ()
+    (entry,) = (entry for entry in result.considered if entry.effect.label == "current_limit@motor")
+    assert entry.reason == "was not tested before the budget ended"
 
 
 def test_each_iteration_of_a_fit_asks_the_budget() -> None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ...arrays import Array
 from ...machine import Machine, Uncertainty
-from ..predict.free_parameters import FreeParameter, default_free_parameters
+from ..predict.free_parameters import FreeParameter, default_free_parameters, rated_force
 
 # Thresholds beyond which a parameter is reported as doubtful.
 _POOR_RELATIVE_STD = 0.2
@@ -19,7 +19,7 @@ _HIGH_CORRELATION = 0.95
 # A standard deviation beyond this fraction of the prior's: the data hardly added to the declared value.
 _PRIOR_DOMINATES = 0.6
 _BOUND_TOLERANCE = 1e-6  # relative
-# Standard deviations of its prior beyond which friction that is declared as zero is reported.
+# Friction that is declared as zero is reported beyond this many standard deviations of its prior, and of its estimate.
 _UNDECLARED_STDS = 4.0
 _CLEAR_DAMPING = 2.0  # factor between fitted and declared damping, from which on the file is called wrong
 _COMPATIBLE_STDS = 2.0  # standard deviations within which a value may equal the declared one
@@ -240,6 +240,65 @@ def _connected(members: NDArray[np.bool_]) -> list[list[int]]:
     return sets
 
 
+@dataclass(frozen=True)
+class UndeclaredFriction:
+    """Friction that the motion shows and the machine file does not declare.
+
+    Attributes:
+        name: Full name of the parameter, such as "x.coulomb".
+        value: Its value, in `unit`.
+        std: Its standard deviation; None if it is not known.
+        unit: Unit of the value.
+        share: Dry friction / force of all drives at standstill and rated voltage; None for viscous friction.
+    """
+
+    name: str
+    value: float
+    std: float | None
+    unit: str
+    share: float | None
+
+    def as_json(self) -> dict[str, object]:
+        """Return an entry of the list "undeclared_friction" in report.json.
+
+        Returns:
+            "parameter", its "value", "std" and "unit", and "percent_of_drives", which is None for viscous friction.
+        """
+        return {
+            "parameter": self.name,
+            "value": self.value,
+            "std": self.std,
+            "unit": self.unit,
+            "percent_of_drives": None if self.share is None else 100.0 * self.share,
+        }
+
+
+def undeclared_friction(machine: Machine, declared: Machine) -> tuple[UndeclaredFriction, ...]:
+    """Find friction that is declared as zero and clearly is not.
+
+    It must exceed what a machine without friction may have by the prior, and its own uncertainty.
+
+    Args:
+        machine: Fitted machine, with its uncertainty if that is known.
+        declared: Machine as it was declared.
+    """
+    found = []
+    for parameter in default_free_parameters(declared):
+        name, value = parameter.name, machine.parameters.get(parameter.name, 0.0)
+        owner, _, key = name.rpartition(".")
+        if parameter.of_effect or key not in ("viscous", "coulomb") or parameter.center != 0.0:
+            continue
+        std = machine.uncertainty.std(name) if machine.uncertainty else None
+        if parameter.theta(value) <= _UNDECLARED_STDS * parameter.prior or value <= _UNDECLARED_STDS * (
+            std or 0.0
+        ):
+            continue
+        of_drives = rated_force(declared) * declared.coordinate(owner).travel_per_unit
+        share = value / of_drives if key == "coulomb" and of_drives else None
+        found.append(UndeclaredFriction(name, value, std, declared.unit(name), share))
+    return tuple(found)
+
+
 def parameters_at_limit(machine: Machine, declared: Machine) -> dict[str, str]:
     """Describe the parameters of the machine that the fit moved to the limit of their range.
 
@@ -261,11 +320,6 @@ def parameters_at_limit(machine: Machine, declared: Machine) -> dict[str, str]:
         value = machine.parameters.get(parameter.name)
         if value is None:
             continue
-        if parameter.center == 0.0 and parameter.theta(value) > _UNDECLARED_STDS * parameter.prior:
-            found = f"{value:.3g} {declared.unit(parameter.name)}"
-            described[parameter.name] = (
-                f"{parameter.name} is {found}, as the motion determines it, and the machine file declares none"
-            )
         if not parameter.at_limit(parameter.theta(value)):
             continue
         std = (machine.uncertainty.std(parameter.name) if machine.uncertainty else None) or 0.0

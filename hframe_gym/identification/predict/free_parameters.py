@@ -254,9 +254,15 @@ def bounded_step(free: Sequence[FreeParameter], theta: Array, hessian: Array, gr
 
 
 def typical_force(machine: Machine) -> float:
-    """Return a typical size of forces: a tenth of the force of all drives together at standstill and rated voltage.
+    """Return a typical size of forces, N: a tenth of the rated force.
 
     A fit expresses the amplitudes of effects and undeclared friction relative to it.
+    """
+    return 0.1 * rated_force(machine)
+
+
+def rated_force(machine: Machine) -> float:
+    """Return the force of all drives together at standstill and rated voltage.
 
     Returns:
         Force at the belt (torque / pulley radius for a rotary coordinate), N.
@@ -264,7 +270,7 @@ def typical_force(machine: Machine) -> float:
     total = 0.0
     for drive in machine.drives:  # drive.gain: force or torque per volt at standstill
         total += drive.gain * drive.rated_voltage / machine.coordinate(drive.coordinate).travel_per_unit
-    return 0.1 * total
+    return total
 
 
 def default_free_parameters(machine: Machine, *, effects: bool = True) -> tuple[FreeParameter, ...]:

@@ -58,7 +58,7 @@ def answers(
     """
     report = saved.report
     return {
-        "What is wrong": [*unknown_voltages(saved.report), *_wrong(saved)],
+        "What is wrong": [*unknown_voltages(report), *_undeclared_friction(report), *_wrong(saved)],
         "How sure": [*_unfinished(report), *_certainty(saved, effects)],
         "How much is left": [*_left(report), *_left_at_belts(saved)],
         "On which run": _worst_run(saved, runs),
@@ -264,7 +264,24 @@ def verdict_sentence(report: Mapping[str, Any], channels: Sequence[str]) -> str:
     Returns:
         One or more English sentences.
     """
-    return " ".join([*unknown_voltages(report), _verdict_sentence(report, channels)])
+    return " ".join(
+        [*unknown_voltages(report), *_undeclared_friction(report), _verdict_sentence(report, channels)]
+    )
+
+
+def _undeclared_friction(report: Mapping[str, Any]) -> list[str]:
+    """Return a sentence about friction that the motion shows and the machine file does not declare."""
+    texts = []
+    for friction in report.get("undeclared_friction", ()):
+        std = "" if friction["std"] is None else f" +- {friction['std']:.2g}"
+        share = friction["percent_of_drives"]
+        of_drives = "" if share is None else f" ({share:.2g} % of the drives' largest force)"
+        texts.append(
+            f"{friction['parameter']} is {number(friction['value'])}{std} {friction['unit']}{of_drives}"
+        )
+    if not texts:
+        return []
+    return [f"The machine has friction that its file does not declare: {', '.join(texts)}."]
 
 
 def unknown_voltages(report: Mapping[str, Any]) -> list[str]:

@@ -23,7 +23,7 @@ from ...web_page import number
 from ..evidence.tried_effects import SelectedEffect
 from ..fit.channel_errors import errors_by_channel, simulation_error
 from ..fit.missing_force import Dependence, dependence_variables, smooth_force_residual
-from ..fit.parameter_diagnostics import inseparable_parameters, parameters_at_limit
+from ..fit.parameter_diagnostics import inseparable_parameters, parameters_at_limit, undeclared_friction
 from ..judge.criteria import SelectionCriteria
 from ..judge.table import is_better_than_table
 from ..judge.verdict import Verdict
@@ -313,6 +313,9 @@ class IdentificationResult:
             "hint": self.hint.as_json() if self.hint else None,
             "considered": [entry.as_json() for entry in self.considered],
             "not_separable": [group.as_json(machine) for group in groups],
+            "undeclared_friction": [
+                friction.as_json() for friction in undeclared_friction(machine, self.declared.machine)
+            ],
             "next_experiment": self.experiment.as_json() if self.experiment else None,
             "seconds": round(self.seconds, 2),
             "criteria": self.criteria.as_json(),

@@ -144,6 +144,16 @@ class _NotSeparable(_Entry):
     determined: list[_DeterminedSum]
 
 
+class _UndeclaredFriction(_Entry):
+    """Friction that the machine file does not declare."""
+
+    parameter: str
+    value: FiniteFloat
+    std: FiniteFloat | None
+    unit: str
+    percent_of_drives: FiniteFloat | None
+
+
 class _Hint(_Entry):
     """What the force that the machine lacks depends on, where no effect is named."""
 
@@ -202,6 +212,7 @@ class _Report(_Entry):
     left_in_others: FiniteFloat | None = None
     considered: list[_ConsideredEntry] = []
     not_separable: list[_NotSeparable] = []
+    undeclared_friction: list[_UndeclaredFriction] = []
     next_experiment: _Experiment | None
     seconds: FiniteFloat
     warnings: list[str] = []

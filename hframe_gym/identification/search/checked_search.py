@@ -13,7 +13,7 @@ from typing import NamedTuple
 from ...machine import Machine
 from ...preparation.dataset import Dataset, with_known_positions
 from ...preparation.excerpt import LARGEST_FIT, describe_part, representative_part
-from ..budget import EXCERPT_PART, SEARCH_PART, Budget
+from ..budget import SECOND_SEARCH_PART, Budget, parts_of
 from ..evidence.held_out import contradicting_held_out_runs, held_out_gain, is_excited, worsens_simulation
 from ..evidence.tried_effects import ConsideredEffect, Log
 from ..fit.estimation import Fit, fit
@@ -129,7 +129,8 @@ def find_effects(
         budget: Processor time after which the search ends.
     """
     found = _search_and_check(machine, all_runs, held_names, criteria, log, budget)
-    complete = not found.outcome.selected and not found.outcome.unfinished and budget.has_time(EXCERPT_PART)
+    may_repeat = budget.has_time(SECOND_SEARCH_PART)
+    complete = not found.outcome.selected and not found.outcome.unfinished and may_repeat
     others = _runs_to_exchange(found, log) if complete and may_exchange else []
     if others:
         exchanged = _search_and_check(machine, all_runs, others, criteria, log, budget)
@@ -161,6 +162,7 @@ def _search_and_check(
     if in_part:
         log(f"effects are searched for in {describe_part(data, all_rows)}")
         all_rows = representative_part(all_rows, machine, size=LARGEST_FIT)
+    logged = {run.name: run.inputs for run in data.runs}
     data, held_out = with_lost_voltages(machine, data, held_out, log)
     refitted = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
     different = _different_run(refitted, data, held_out, criteria)
@@ -184,8 +186,10 @@ def _search_and_check(
         fitted = dataclasses.replace(fitted, updates_rejected=rejected.copy())
         # The errors of voltages between all rows of a long log would need too much memory.
         complete = all_rows if in_part and updates.per_row == 1 else None
+        # Voltages that are estimated by a machine would make its parameters part of the plain fit.
+        plain = plain_fit(machine, fitted.with_inputs(logged) if complete is None else complete)
         try:
-            found = search(fitted, validation, complete)._replace(messages=messages)
+            found = search(fitted, validation, complete, plain)._replace(messages=messages)
             return found if different is None else found.without_run(different)
         except VoltagesChangeError as change:
             rejected[updates.per_row] = len(change.machine.effects)
@@ -223,6 +227,7 @@ def _search(
     data: Dataset,
     held_out: Dataset,
     all_rows: Dataset | None,
+    plain: PlainFit | None,
     *,
     refitted: Fit,
     criteria: SelectionCriteria,
@@ -230,7 +235,6 @@ def _search(
     budget: Budget,
 ) -> CheckedOutcome:
     """Search for effects in the fitted runs or a part of them, fit them to all rows, and compare with held-out runs."""
-    plain = plain_fit(machine, data if all_rows is None else all_rows)
     start = _start(machine, data, plain, log)
 
     def confirmed(outcome: SearchOutcome) -> bool:
@@ -247,7 +251,7 @@ def _search(
         log,
         confirmed=confirmed,
         budget=budget,
-        budget_part=SEARCH_PART if all_rows is None else EXCERPT_PART,
+        parts=parts_of(machine, in_part=all_rows is not None),
         refitted=known,
     )
     if all_rows is not None:

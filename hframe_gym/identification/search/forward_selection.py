@@ -63,7 +63,7 @@ class EffectSearch:
 
     Attributes:
         considered: Effects that reduced the error but failed a test, by label (name@site).
-        reached: What was selected before the present step; None before the first one.
+        reached: What is selected so far; None before the first step.
         data: The recordings; `run` may replace the initial states of their runs by more probable ones.
     """
 
@@ -122,6 +122,7 @@ class EffectSearch:
                 break
             best, selected = extended
             require_updates(best, self.data, criteria)
+            self.reached = best, selected
             current, selected = self._exchange(fit_with_model_error(best, self.data), selected)
             if judge.is_worth_comparing_rivals(current.error, criteria):
                 likely, others = self.settle_rivals(current, selected)

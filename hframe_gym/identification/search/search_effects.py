@@ -10,7 +10,7 @@ from typing import NamedTuple
 from ...effects.smooth_table import TABLE_FAMILY
 from ...machine import HOOKS, Effect, Machine, argument_names
 from ...preparation.dataset import Dataset
-from ..budget import ALL_ROWS_PART, SEARCH_PART, Budget, BudgetEndedError, note_error, spend
+from ..budget import Budget, BudgetEndedError, Parts, note_error, parts_of, spend
 from ..evidence.tried_effects import ConsideredEffect, Log, SelectedEffect, Selection
 from ..fit.estimation import Fit, fit, prediction_cost
 from ..fit.lost_voltages import estimate_lost_voltages
@@ -86,7 +86,7 @@ def search_effects(
     *,
     confirmed: Confirmed | None = None,
     budget: Budget | None = None,
-    budget_part: float = SEARCH_PART,
+    parts: Parts | None = None,
     refitted: Fit | None = None,
 ) -> SearchOutcome:
     """Refit a machine and search for the effects (deviations from the nominal model) that it lacks.
@@ -109,26 +109,27 @@ def search_effects(
             If it returns False, the outcome of a search in all runs is returned. Default: it returns True.
         budget: Processor time after which the search ends. The refit of the machine is always completed. Default: the
             search ends by itself.
-        budget_part: Part of it after which the search ends, dimensionless.
+        parts: Parts of it after which search and tests end. Default: those of complete runs.
         refitted: Fit of the machine to these runs at `SEARCH_BANDWIDTH`, if it is known already.
 
     Returns:
         Verdict, fits of the machine without and with the effects, and the selected and the rejected effects. If the
         budget ended: of what was selected until then, tested like everything else, without tables; without a suspect if
-        that was found to explain the other runs, else in all runs.
+        that was found to explain the other runs, else in all runs. What there is no time to test is not selected.
     """
     searches = [_Search(machine, data, criteria, log, refitted)]
-    budget = budget or Budget()
+    budget, parts = budget or Budget(), parts or parts_of(machine)
     try:
-        with budget.limiting(budget_part):
+        with budget.limiting(parts.search):
             return _search_with_suspect(searches, machine, data, criteria, log, confirmed)
     except BudgetEndedError:
         log(f"  {budget.reason} ({budget.doing}); what was found so far is tested")
+    tests = budget.until(parts.tests)
     for search in reversed(searches[1:]):
-        outcome = search.finished_early()
+        outcome = search.finished_early(tests)
         if outcome.explained:  # a run is only left out if one machine explains the others
             return outcome._replace(unfinished=budget.doing)
-    return searches[0].finished_early()._replace(unfinished=budget.doing)
+    return searches[0].finished_early(tests)._replace(unfinished=budget.doing)
 
 
 def fitted_to_all_rows(
@@ -153,7 +154,7 @@ def fitted_to_all_rows(
         Outcome with the machines that all rows determine; `found`, unfinished, if the budget ended before.
     """
     try:
-        with budget.limiting(ALL_ROWS_PART):
+        with budget.limiting(parts_of(machine, in_part=True).all_rows):
             spend("fitting all rows")
             log("fitting all rows")
             complete = estimate_lost_voltages(data, found.after.machine)
@@ -325,17 +326,23 @@ class _Search:
             return self._outcome(found.verdict, after, effects, found.considered)
         return self._partial(after, effects, found.considered)
 
-    def finished_early(self) -> SearchOutcome:
+    def finished_early(self, tests: Budget) -> SearchOutcome:
         """Return the outcome of what was selected when the budget ended, after the same tests beside each other."""
         search = self._searches[-1] if self._searches else None
         after, effects = (search and search.reached) or (self.before, ())
-        considered: dict[str, ConsideredEffect] = search.considered if search else {}
+        untested: tuple[ConsideredEffect, ...] = ()
         if search and effects:
-            self._data_after = search.data
-            after, effects = search.prune(polish(after, search.data), effects)
-        rejected = tuple(
-            entry for label, entry in considered.items() if label not in {s.effect.label for s in effects}
-        )
+            for s in effects:
+                search.considered.pop(s.effect.label, None)
+            try:
+                with tests.limiting():
+                    found, confirmed = search.prune(polish(after, search.data), effects)
+                after, effects, self._data_after = found, confirmed, search.data
+            except BudgetEndedError:
+                others = tuple(s for s in effects if s.effect.label not in search.considered)
+                untested = self._removed(after, others, "was not tested before the budget ended")
+                after, effects = self.before, ()
+        rejected = (*untested, *(search.considered.values() if search else ()))
         decided = self._decided(after, effects, rejected) or self._partial(after, effects, rejected)
         return decided._replace(contradiction=self.suspect)
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from ...preparation.dataset import Dataset
 from ...preparation.excerpt import representative_part
-from ..budget import DESCRIPTION_PART, Budget, BudgetEndedError
+from ..budget import Budget, BudgetEndedError, parts_of
 from ..evidence.tried_effects import Log, SelectedEffect
 from ..fit.estimation import Fit, prediction_cost
 from ..fit.plain_fit import PlainFit, equally_weighted, refined_equally
@@ -220,31 +220,32 @@ def descriptions(
         data: Runs to fit.
         criteria: Decision thresholds, of which the tests of single effects are used.
         log: Called with a line of text at each stage.
-        budget: Budget of the identification; what is left of it may be used for the searches, but at most 30 % of
-            it and 45 s.
+        budget: Budget of the identification, of which the searches may use at most 30 % and 45 s.
 
     Yields:
         Fit with one more effect in simulation (theta, shape (k,)), and the labels of all; nothing if no effect passes
         the tests, or after the budget.
     """
-    seconds = min(_BUDGET_PART * budget.seconds, _LONGEST)
-    if not budget.has_time(DESCRIPTION_PART):
+    part = parts_of(start.machine).description
+    if not budget.has_time(part):
         return
+    stage = budget.until(part, min(_BUDGET_PART * budget.seconds, _LONGEST))
     log("describing the remaining error of complete runs")
     equal = equally_weighted(data)
     cost = prediction_cost(start.machine, equal, SIMULATION)
     current = dataclasses.replace(start, bandwidth=SIMULATION, cost=cost, count=equal.count)
     selected: tuple[SelectedEffect, ...] = ()
     for count in range(1, _MAX_EFFECTS + 1):
-        part = Budget(max(min(seconds, DESCRIPTION_PART * budget.seconds - budget.spent), 0.0))
         effort = dataclasses.replace(criteria, max_effects=count, max_full_fits=_TRIALS)
         search = EffectSearch(equal, start.machine, effort, log)
         try:
-            with part.limiting(1.0):
+            with stage.limiting():
                 current, found = search.run(current, selected)
-        except (BudgetEndedError, VoltagesChangeError):  # what was found until then stands
+        except VoltagesChangeError:
             return
+        except BudgetEndedError:
+            current, found = search.reached or (current, selected)
         if len(found) == len(selected):
             return
-        selected, equal, seconds = found, search.data, seconds - part.spent
+        selected, equal = found, search.data
         yield refined_equally(current, equal), tuple(s.effect.label for s in selected)

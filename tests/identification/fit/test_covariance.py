@@ -14,6 +14,7 @@ from hframe_gym.identification.fit.parameter_diagnostics import (
     inseparable_parameters,
     parameter_doubts,
     parameters_at_limit,
+    undeclared_friction,
 )
 from hframe_gym.identification.predict.free_parameters import default_free_parameters
 from hframe_gym.identification.predict.prediction import SIMULATION
@@ -174,7 +175,7 @@ def test_a_mass_at_the_limit_of_the_fit_is_reported(axis: Machine) -> None:
     assert parameters_at_limit(axis.replace({"x.mass": 3.2 * axis.parameters["x.mass"]}), axis) == {}
 
 
-def test_damping_far_from_the_declared_one_and_undeclared_friction_are_reported_once(axis: Machine) -> None:
+def test_damping_far_from_the_declared_one_is_reported_once(axis: Machine) -> None:
     """Viscous friction and back-EMF act alike; a plain fit may give all of it to one of them."""
     x, (drive,) = axis.coordinates[0], axis.drives
     total = x.viscous + drive.back_emf
@@ -185,9 +186,26 @@ def test_damping_far_from_the_declared_one_and_undeclared_friction_are_reported_
     assert text.startswith(
         "the damping of x (viscous friction and back-EMF together) is 3 times its declared value"
     )
+
+
+def test_friction_that_the_file_does_not_declare_is_a_finding_if_it_is_certain(axis: Machine) -> None:
     smooth = axis.replace({"x.coulomb": 0.0})
-    (text,) = parameters_at_limit(smooth.replace({"x.coulomb": 3.0}), smooth).values()
-    assert text == "x.coulomb is 3 N, as the motion determines it, and the machine file declares none"
+    rough = smooth.replace({"x.coulomb": 3.0})
+    (found,) = undeclared_friction(with_standard_deviations(rough, {"x.coulomb": 0.1, "x.mass": 0.1}), smooth)
+    (drive,) = axis.drives
+    largest = drive.gain * drive.rated_voltage / axis.coordinates[0].travel_per_unit
+    assert found.as_json() == {
+        "parameter": "x.coulomb",
+        "value": 3.0,
+        "std": pytest.approx(0.3),
+        "unit": "N",
+        "percent_of_drives": pytest.approx(100.0 * 3.0 / largest),
+    }
+    assert undeclared_friction(rough, smooth)[0].std is None
+    assert not undeclared_friction(with_standard_deviations(rough, {"x.coulomb": 0.5, "x.mass": 0.1}), smooth)
+    assert not undeclared_friction(smooth.replace({"x.coulomb": 1e-3}), smooth)
+    assert not undeclared_friction(rough, axis)
+    assert parameters_at_limit(rough, smooth) == {}
 
 
 @pytest.mark.parametrize(("name", "factor"), [("motor.Ke", np.exp(4 * 0.2)), ("x.viscous", np.exp(-4 * 0.7))])

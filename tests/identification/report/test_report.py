@@ -483,6 +483,20 @@ def test_the_page_without_an_effect(verdict: Verdict, text: str, data: Dataset, 
     assert "No effect was identified." in page
 
 
+def test_the_verdict_begins_with_friction_that_the_file_does_not_declare(data: Dataset) -> None:
+    smooth = AXIS.replace({"x.coulomb": 0.0})
+    result = result_of(data, "unexplained", AXIS)
+    result = dataclasses.replace(result, declared=dataclasses.replace(result.declared, machine=smooth))
+    report = result.as_json()
+    (friction,) = report["undeclared_friction"]
+    assert (friction["parameter"], friction["value"]) == ("x.coulomb", AXIS.parameters["x.coulomb"])
+    start = f"The machine has friction that its file does not declare: x.coulomb is {friction['value']:g}"
+    assert verdict_sentence(report, AXIS.output_channels).startswith(start)
+    assert "friction" not in verdict_sentence(
+        result_of(data, "unexplained", AXIS).as_json(), AXIS.output_channels
+    )
+
+
 def test_several_effects_are_separated_by_commas() -> None:
     errors = {"x_m": {"rmse": 1e-3, "noise_ratio": 50.0}}
     report = {
