@@ -36,7 +36,7 @@ from ..controllers import (
     TransferDesign,
     scaled_machine,
 )
-from ..controllers.finite_horizon_control import VOLTAGE_CHANGE_WEIGHT
+from ..controllers.planning.finite_horizon_control import VOLTAGE_CHANGE_WEIGHT
 from ..errors import InputError
 from ..machine import RADIANS, Machine, observed_coordinates, rest_positions_per_axis
 

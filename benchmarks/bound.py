@@ -22,7 +22,11 @@ import hframe_gym.evaluation
 from benchmarks.controllers import BAND, EPISODES, RUNS, SEED
 from benchmarks.results_file import write_results
 from hframe_gym.arrays import Array
-from hframe_gym.controllers.time_optimal import SMOOTHED_REVERSAL_SPEED, TimeOptimalMotion, TimeOptimalReach
+from hframe_gym.controllers.planning.time_optimal import (
+    SMOOTHED_REVERSAL_SPEED,
+    TimeOptimalMotion,
+    TimeOptimalReach,
+)
 from hframe_gym.dynamics import simulate_batch
 from hframe_gym.evaluation import (
     BANDS,

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 import hframe_gym.evaluation
-from hframe_gym.controllers.time_optimal import HeldVoltageReach, TimeOptimalReach
+from hframe_gym.controllers.planning.time_optimal import HeldVoltageReach, TimeOptimalReach
 from hframe_gym.errors import InputError
 from hframe_gym.evaluation import (
     BANDS,

@@ -66,7 +66,7 @@ def compute(plant: GapPlant, start: Array, goal: Array) -> dict[str, Any]:
     Returns:
         By key: "plant", "left_out" (labels of effects) and "times_s" (None where unknown), as plain data.
     """
-    from hframe_gym.controllers.time_optimal import TimeOptimalReach
+    from hframe_gym.controllers.planning.time_optimal import TimeOptimalReach
 
     solver, machine = None, plant.near_machine
     while solver is None:
@@ -91,7 +91,7 @@ def without_unsupported(machine: Machine) -> Machine:
     Raises:
         InputError: If the machine has no effect.
     """
-    from hframe_gym.controllers.casadi_model import check_supported
+    from hframe_gym.controllers.models.casadi_model import check_supported
 
     if not machine.effects:
         raise InputError(f"machine {machine.name!r} is not supported without effects either")

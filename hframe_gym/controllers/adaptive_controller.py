@@ -36,9 +36,9 @@ from ..dynamics import stiffness_matrix
 from ..errors import InputError
 from ..machine import Machine
 from .base import CONTROLLERS, FullStateController
-from .input_compensation import DeadTime, InputInversion
 from .model_based_controller import ModelBasedController
-from .motion_model import MotionModel, OperatingPointGrid
+from .models.input_compensation import DeadTime, InputInversion
+from .models.motion_model import MotionModel, OperatingPointGrid
 
 # Design points of the bank, as factors on the declared EA and masses: about the range of the randomization "default".
 STIFFNESS_RATIOS = np.array([0.7, 1.0, 1.3])

@@ -26,7 +26,7 @@ from ..arrays import Actions, Array, KeyedObservation, Mask, PreviewedGoals, Tra
 from ..errors import InputError
 from ..machine import Machine
 from ..registry import Registry
-from .motion_model import MotionModel
+from .models.motion_model import MotionModel
 
 Feedback = Literal["state", "estimated_state", "observation"]
 

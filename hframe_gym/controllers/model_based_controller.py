@@ -32,8 +32,8 @@ from typing_extensions import override
 from ..arrays import Actions, Array, PreviewedGoals, TravelStates
 from ..machine import Machine
 from .base import CONTROLLERS, Feedback, FullStateController
-from .finite_horizon_control import MinimumEnergyTransfers, PreviewTracker
-from .input_compensation import DeadTime, InputInversion
+from .models.input_compensation import DeadTime, InputInversion
+from .planning.finite_horizon_control import MinimumEnergyTransfers, PreviewTracker
 
 # The following constants are tuned on randomized H-frames ("default").
 # Largest difference between observed and modeled force, in multiples of the nominal Coulomb friction; larger values are

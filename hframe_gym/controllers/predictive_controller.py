@@ -28,12 +28,12 @@ from typing_extensions import override
 from ..arrays import Actions, Array, Mask, PreviewedGoals, TravelStates
 from ..machine import Machine
 from .base import CONTROLLERS, Feedback, FullStateController
-from .finite_horizon_control import HORIZON_S, longest_transfer_s
-from .input_compensation import DeadTime, InputInversion
-from .linear_motion import LinearMotion
-from .motion_model import MotionModel, OperatingPointGrid
-from .parameter_estimators import ParameterWindow
-from .predictive_plans import ArrivalPlanner, PlanSimulation
+from .estimation.parameter_estimators import ParameterWindow
+from .models.input_compensation import DeadTime, InputInversion
+from .models.linear_motion import LinearMotion
+from .models.motion_model import MotionModel, OperatingPointGrid
+from .planning.finite_horizon_control import HORIZON_S, longest_transfer_s
+from .planning.predictive_plans import ArrivalPlanner, PlanSimulation
 
 LONGEST_PERIODS = 60  # until the tool arrives; a longer way is planned again on the way
 ARRIVED = 1.2e-4  # m, predicted error of a plan that arrives in time

@@ -11,7 +11,7 @@ from ..arrays import Actions, PreviewedGoals, TravelStates
 from ..dynamics import mode_frequencies
 from ..machine import Machine
 from .base import CONTROLLERS, FullStateController
-from .motion_model import OperatingPointGrid
+from .models.motion_model import OperatingPointGrid
 
 # Slowest belt mode, or half the sampling frequency where that is lower, over the bandwidth of the closed loop: the
 # usual rule of thumb.

@@ -349,16 +349,15 @@ def _controller_entry(name: str, controller: Controller) -> Entry:
     """
     found: dict[str, Path] = {}
     modules = [inspect.getmodule(type(controller))]
+    package = modules[0].__package__ if modules[0] is not None else None
     while modules:
         module = modules.pop()
         if module is None or module.__name__ in found:
             continue
         found[module.__name__] = Path(inspect.getfile(module))
         used = {str(getattr(value, "__module__", "")) for value in vars(module).values()} & set(sys.modules)
-        others = (sys.modules[name] for name in sorted(used))
-        modules += [
-            other for other in others if other.__package__ and other.__package__ == module.__package__
-        ]
+        if package:
+            modules += [sys.modules[name] for name in sorted(used) if f"{name}.".startswith(f"{package}.")]
     weights = _weights(controller)
     sources = tuple(found[module_name] for module_name in sorted(found))
     digest = _hash((*sources, *map(Path, controller.files)), weights)

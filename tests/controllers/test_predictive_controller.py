@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from hframe_gym.controllers import CONTROLLERS, MotionModel, ParameterWindow
-from hframe_gym.controllers.linear_motion import LinearMotion
-from hframe_gym.controllers.predictive_plans import ArrivalPlanner
+from hframe_gym.controllers.models.linear_motion import LinearMotion
+from hframe_gym.controllers.planning.predictive_plans import ArrivalPlanner
 from hframe_gym.effects import EFFECTS
 from hframe_gym.envs import HFrameVectorEnv, Track
 from hframe_gym.evaluation import Scenario, rollout, settling_times

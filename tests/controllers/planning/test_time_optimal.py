@@ -19,8 +19,8 @@ pytestmark = pytest.mark.integration
 
 casadi = pytest.importorskip("casadi")
 
-from hframe_gym.controllers.casadi_model import SymbolicModel  # noqa: E402
-from hframe_gym.controllers.time_optimal import HOLD_S, HeldVoltageReach, TimeOptimalReach  # noqa: E402
+from hframe_gym.controllers.models.casadi_model import SymbolicModel  # noqa: E402
+from hframe_gym.controllers.planning.time_optimal import HOLD_S, HeldVoltageReach, TimeOptimalReach  # noqa: E402
 
 BAND = 2e-4
 HFRAME, AXIS = BUILTIN_MACHINES["hframe"](), BUILTIN_MACHINES["axis"]()
@@ -226,9 +226,9 @@ def test_effects_of_sensors_do_not_matter(hframe_problem: TimeOptimalReach) -> N
 
 def test_a_missing_casadi_is_reported_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "casadi", None)
-    monkeypatch.delitem(sys.modules, "hframe_gym.controllers.time_optimal")
+    monkeypatch.delitem(sys.modules, "hframe_gym.controllers.planning.time_optimal")
     with pytest.raises(ImportError, match=r"hframe_gym\[bound\]"):
-        importlib.import_module("hframe_gym.controllers.time_optimal")
+        importlib.import_module("hframe_gym.controllers.planning.time_optimal")
 
 
 def test_held_voltages_cost_little_and_change_once_per_period(hframe_problem: TimeOptimalReach) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hframe_gym.controllers import MotionModel, StateEstimator
-from hframe_gym.controllers.estimation_model import AugmentedParameters, MeasurementModel
+from hframe_gym.controllers.estimation.estimation_model import AugmentedParameters, MeasurementModel
 from hframe_gym.effects import EFFECTS
 from hframe_gym.errors import InputError
 from hframe_gym.machine import BUILTIN_MACHINES, Machine, Sensor

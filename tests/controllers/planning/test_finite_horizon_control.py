@@ -15,7 +15,7 @@ from hframe_gym.controllers import (
     TextbookPID,
     TransferDesign,
 )
-from hframe_gym.controllers.finite_horizon_control import VOLTAGE_CHANGE_WEIGHT
+from hframe_gym.controllers.planning.finite_horizon_control import VOLTAGE_CHANGE_WEIGHT
 from hframe_gym.dynamics import rollout, simulate
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from tests.controllers.closed_loop import PERIOD, PREVIEW, circles, closed_loop, random_stages

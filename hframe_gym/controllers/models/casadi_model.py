@@ -9,10 +9,10 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
-from ..dynamics import Equations, MotionPoint
-from ..dynamics.elementwise import tanh
-from ..errors import InputError
-from ..machine import AppliedEffect, Hook, Machine, argument_names
+from ...dynamics import Equations, MotionPoint
+from ...dynamics.elementwise import tanh
+from ...errors import InputError
+from ...machine import AppliedEffect, Hook, Machine, argument_names
 
 try:
     import casadi as ca

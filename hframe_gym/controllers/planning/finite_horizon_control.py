@@ -36,11 +36,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import Array, ElapsedTimes, Mask, ToolPositions, TravelStates, Volts
-from ..dynamics import mode_frequencies
-from .base import check_period
-from .linear_motion import reachability, scaled_matrices, state_scale
-from .motion_model import MotionModel, OperatingPointGrid
+from ...arrays import Array, ElapsedTimes, Mask, ToolPositions, TravelStates, Volts
+from ...dynamics import mode_frequencies
+from ..base import check_period
+from ..models.linear_motion import reachability, scaled_matrices, state_scale
+from ..models.motion_model import MotionModel, OperatingPointGrid
 
 # Shortest transfer in periods of the slowest belt mode; a shorter one needs the mode's frequency more accurately than a
 # model has it.

@@ -7,10 +7,10 @@ import importlib
 
 import numpy as np
 
-from ..arrays import Array, Mask, ParameterRows, TravelStates, Volts
-from ..dynamics import Equations, rollout
-from ..errors import InputError
-from ..machine import Machine
+from ...arrays import Array, Mask, ParameterRows, TravelStates, Volts
+from ...dynamics import Equations, rollout
+from ...errors import InputError
+from ...machine import Machine
 
 TABLE_POINTS = 8001  # points of a drive's characteristic between the rated voltages; 3 mV apart at 12 V
 # Slope added to a characteristic so that it can be inverted where it is flat; 0 V then maps to the middle of a dead

@@ -25,12 +25,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 from typing_extensions import override
 
-from ..arrays import Array
-from ..dynamics import Equations
-from ..machine import Machine, rest_positions_per_axis
-from .casadi_model import SymbolicModel, check_supported, voltage_limits
-from .input_compensation import InputInversion
-from .motion_model import axis_travel_per_unit
+from ...arrays import Array
+from ...dynamics import Equations
+from ...machine import Machine, rest_positions_per_axis
+from ..models.casadi_model import SymbolicModel, check_supported, voltage_limits
+from ..models.input_compensation import InputInversion
+from ..models.motion_model import axis_travel_per_unit
 
 try:
     import casadi as ca

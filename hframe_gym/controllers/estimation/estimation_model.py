@@ -8,11 +8,11 @@ from collections.abc import Iterable
 import numpy as np
 from typing_extensions import override
 
-from ..arrays import Array, Mask, ParameterRows, TravelStates
-from ..dynamics import Equations
-from ..errors import InputError
-from ..machine import Machine, Sensor
-from .motion_model import MotionModel
+from ...arrays import Array, Mask, ParameterRows, TravelStates
+from ...dynamics import Equations
+from ...errors import InputError
+from ...machine import Machine, Sensor
+from ..models.motion_model import MotionModel
 
 # Prior standard deviations of the logarithms of parameter ratios: friction is hardly known before it is measured,
 # masses are weighed, motors have data sheets. A resistance has the effect of a Kt and is not estimated beside it.

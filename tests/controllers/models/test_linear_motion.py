@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from hframe_gym.controllers import MinimumEnergyTransfers, MotionModel, SimulatedTransfers, linear_motion
+from hframe_gym.controllers import MinimumEnergyTransfers, MotionModel, SimulatedTransfers
+from hframe_gym.controllers.models import linear_motion
 from hframe_gym.dynamics import rollout
 from hframe_gym.effects import EFFECTS
 from hframe_gym.envs import HFrameVectorEnv

@@ -28,14 +28,14 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import Array, Mask, TravelStates, Volts
-from ..dynamics import simulate_batch
-from ..errors import InputError
-from ..machine import Machine, rigid_counterpart
-from .base import SIMULATION_STEP_S, EpisodeStarts, check_period
+from ...arrays import Array, Mask, TravelStates, Volts
+from ...dynamics import simulate_batch
+from ...errors import InputError
+from ...machine import Machine, rigid_counterpart
+from ..base import SIMULATION_STEP_S, EpisodeStarts, check_period
+from ..models.input_compensation import DeadTime
+from ..models.motion_model import MotionModel
 from .estimation_model import AugmentedParameters, MeasurementModel
-from .input_compensation import DeadTime
-from .motion_model import MotionModel
 
 # Squared distance of the points in standard deviations: the kurtosis of a normal distribution.
 SIGMA_SQUARED = 3.0

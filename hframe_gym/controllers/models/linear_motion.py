@@ -27,9 +27,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import Array, CoordinateForces, ParameterRows, ToolPositions, TravelStates, Volts
-from ..dynamics import Equations, MotionPoint, rollout
-from ..errors import InputError
+from ...arrays import Array, CoordinateForces, ParameterRows, ToolPositions, TravelStates, Volts
+from ...dynamics import Equations, MotionPoint, rollout
+from ...errors import InputError
 from .motion_model import FRICTION_COMPENSATION_SPEED, MotionModel
 
 # Of the matrix exponential; the period over 2^7 is far below that of any belt mode.

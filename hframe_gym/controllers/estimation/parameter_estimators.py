@@ -27,11 +27,11 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import override
 
-from ..arrays import Array, Mask, ParameterRows, TravelStates
-from ..dynamics import rollout
-from .base import SIMULATION_STEP_S
+from ...arrays import Array, Mask, ParameterRows, TravelStates
+from ...dynamics import rollout
+from ..base import SIMULATION_STEP_S
+from ..models.motion_model import MotionModel
 from .estimation_model import ParameterRatios, prior_deviation
-from .motion_model import MotionModel
 
 LARGEST = 1.2  # limit of the logarithms: a ratio of 3.3, or the inverse
 # Of `ParameterWindow`:

@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import solve_discrete_are
 
 from hframe_gym.controllers import ModelBasedController, OutputFeedbackController, StateEstimator
-from hframe_gym.controllers.state_estimator import sigma_points, transformed_moments
+from hframe_gym.controllers.estimation.state_estimator import sigma_points, transformed_moments
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
 from hframe_gym.errors import InputError

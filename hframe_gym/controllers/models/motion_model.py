@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import (
+from ...arrays import (
     Array,
     CoordinateForces,
     ElapsedTimes,
@@ -23,9 +23,9 @@ from ..arrays import (
     TravelStates,
     Volts,
 )
-from ..dynamics import Equations, ForceBalance, MotionPoint, linearize, matrix_exponential
-from ..errors import InputError
-from ..machine import (
+from ...dynamics import Equations, ForceBalance, MotionPoint, linearize, matrix_exponential
+from ...errors import InputError
+from ...machine import (
     AppliedEffect,
     Machine,
     argument_names,

@@ -16,11 +16,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import Array, CoordinateForces, ParameterRows, ToolPositions, TravelStates
-from ..dynamics import mode_frequencies, rollout
-from .base import SIMULATION_STEP_S
-from .linear_motion import scaled_matrices, state_scale
-from .motion_model import MotionModel
+from ...arrays import Array, CoordinateForces, ParameterRows, ToolPositions, TravelStates
+from ...dynamics import mode_frequencies, rollout
+from ..base import SIMULATION_STEP_S
+from ..models.linear_motion import scaled_matrices, state_scale
+from ..models.motion_model import MotionModel
 
 Indices = NDArray[np.intp]
 # Arrival: unit of the tool's errors, m, weight of the belts' motion at the end of the plan, and of the voltages as
