@@ -9,7 +9,8 @@ import numpy as np
 
 from ..identification import Dataset, prepare
 from ..machine import Machine
-from ..preparation.dataset import runs_that_should_move
+from ..preparation.dataset import runs_that_should_move, turns_steadily
+from ..preparation.division import copied_runs
 from ..preparation.initial_rest import InitialRest, without_moving_start
 from ..preparation.sensor_properties import noise_at_rest
 from ..preparation.usable import usable_run
@@ -36,6 +37,7 @@ from .sampling import (
     times_in_milliseconds,
 )
 from .scales import check_scales
+from .speeds import check_speeds
 from .stuck_outputs import NOISE_SPAN, stuck_outputs
 from .wiring import check_wiring
 
@@ -66,13 +68,16 @@ def check_recordings(recordings: Sequence[Recording], machine: Machine) -> list[
         return wrong_times
     cleaned, rests, data, moving = _prepared(recordings, machine)
     findings = [sampling_rate(recordings), *overlapping_clocks(recordings), *_sensor_noise(data, machine)]
+    for copy, original in copied_runs(recordings).items():
+        message = f"is a copy of {original}, the same in every row: it is not used"
+        findings.append(Finding("advice", copy, "", message))
     if data.jitter:
         findings.append(Finding("note", "", "time_s", f"the clock {data.describe_jitter()}"))
     findings += _faults_and_advice(recordings, cleaned, rests, data, moving, machine)
     silent = runs_that_should_move(data, machine, moving)
     for recording, rest in zip(cleaned, rests, strict=True):
         findings += _short_rest(recording, rest, data) + _unmeasured_outputs(recording, machine)
-        if not _moves(recording, data):
+        if not _moves(recording, data, machine):
             message = "nothing moves in this run: it only determines the noise of the sensors"
             if recording.name in silent:
                 message = (
@@ -91,8 +96,8 @@ def check_before_fit(recordings: Sequence[Recording], machine: Machine) -> list[
 
     `hframe identify` calls this function first. It makes those checks of `check_recordings` that concern the quality of
     the data: clock, slow sensors, wraps, outliers, motion without input, inputs that never change or are logged late,
-    stuck or clipped outputs, and wiring (signs, swapped channels, units, gear ratios). It does not check whether the
-    excitation suffices.
+    stuck or clipped outputs, wiring (signs, swapped channels, units, gear ratios), and speeds that contradict
+    positions. It does not check whether the excitation suffices.
 
     Args:
         recordings: Runs of the machine, at least one.
@@ -118,7 +123,9 @@ def _prepared(
     cleaned, rests = [run.measured for run in runs], [run.rest for run in runs]
     data = prepare([run.usable for run in runs], machine)
     moving = [
-        recording.name for recording in cleaned if _moves(recording, data) and len(recording.time_s) > 2
+        recording.name
+        for recording in cleaned
+        if _moves(recording, data, machine) and len(recording.time_s) > 2
     ]
     return cleaned, rests, data, moving
 
@@ -146,9 +153,8 @@ def _faults_and_advice(
     if not moving:
         message = "nothing moves in any run: are the drives powered and the sensors connected?"
         return [*findings, Finding("fault", "", "", message)]
-    findings += _position_checks(
-        [recording for recording in cleaned if recording.name in moving], data, machine
-    )
+    moved = [recording for recording in cleaned if recording.name in moving]
+    findings += _position_checks(moved, data, machine) + check_speeds(moved, machine)
     if any(finding.severity == "fault" for finding in findings):
         return findings  # a fit would be meaningless
     moving_data = data.with_runs(moving)
@@ -319,11 +325,10 @@ def _silences(recording: Recording, machine: Machine) -> list[Finding]:
     return findings
 
 
-def _moves(recording: Recording, data: Dataset) -> bool:
-    """Return whether any channel moves by more than its noise and quantum."""
-    return bool(
-        np.any(peak_to_peak(recording.outputs) > np.maximum(NOISE_SPAN * data.noise, 2 * data.quantum))
-    )
+def _moves(recording: Recording, data: Dataset, machine: Machine) -> bool:
+    """Return whether any channel moves by more than its noise and quantum, or shows a steady speed."""
+    moved = peak_to_peak(recording.outputs) > np.maximum(NOISE_SPAN * data.noise, 2 * data.quantum)
+    return bool(moved.any()) or turns_steadily(recording.outputs, data.noise, data.quantum, machine)
 
 
 def _outliers(recording: Recording, cleaned: Recording, machine: Machine) -> list[Finding]:

@@ -16,7 +16,7 @@ from ..errors import InputError
 from ..machine import Machine
 from ..parallel import single_threaded_linear_algebra
 from ..preparation.dataset import Dataset, runs_that_should_move
-from ..preparation.division import divide_runs, moving_runs
+from ..preparation.division import copied_runs, divide_runs, moving_runs
 from ..preparation.excerpt import representative_part
 from ..preparation.session import Session, prepare_session
 from ..recordings import Recording
@@ -31,6 +31,7 @@ from .search.checked_search import find_effects
 from .validate.evaluation import HeldOutTest, judged
 from .validate.simpler_machines import no_worse
 
+_COPY = "Not used: {0} is a copy of {1}, the same in every row."
 _SILENT = (
     "Not used: nothing moves in {0}, although {1} starts to move with no more. Its sensor was not read, its drive was "
     "off, or something was blocked."
@@ -78,7 +79,13 @@ def identify(
         )
     load_plugins()  # the search tries their effects as well
     criteria, log = criteria or SelectionCriteria(), log or (lambda line: None)
-    recordings = sorted(recordings, key=lambda recording: recording.name)  # no other order changes the result
+    # By name, so that no other order changes the result; of equal runs, the one that the user holds out is kept.
+    recordings = sorted(recordings, key=lambda recording: recording.name)
+    copies = copied_runs(sorted(recordings, key=lambda recording: recording.name not in held_out))
+    recordings = [recording for recording in recordings if recording.name not in copies]
+    copy_statements = tuple(_COPY.format(copy, original) for copy, original in copies.items())
+    for statement in copy_statements:
+        log(statement)
 
     budget = _budget(budget, recordings, log)
 
@@ -97,7 +104,7 @@ def identify(
         log=log,
         budget=budget,
     )
-    found = found._replace(messages=(*session.statements, *statements, *found.messages))
+    found = found._replace(messages=(*copy_statements, *session.statements, *statements, *found.messages))
 
     # Validate: held-out runs judge verdict and names; nothing worse than a plain fit or the file is delivered.
     test = HeldOutTest(session, found.held_out, criteria)

@@ -23,6 +23,7 @@ from .interpolated_voltages import Interpolation
 from .rest_measurement import InitialState
 
 MIN_ROWS = 20  # rows of a run that the filters of the residual need
+_STEADY_SPEED = 10.0  # times the noise or step of a sensor of speeds; an offset at standstill is smaller
 
 
 class VoltageErrors(Protocol):
@@ -313,6 +314,21 @@ def with_known_positions(data: Dataset) -> tuple[Dataset, tuple[str, ...]]:
     )
 
 
+def turns_steadily(outputs: Array, noise: Array, quantum: Array, machine: Machine) -> bool:
+    """Return whether a sensor of speeds measures another speed than 0 in a run, even if it never changes.
+
+    Args:
+        outputs: Measurements of the run, in the channels' units, NaN where not measured, shape (n, sensors).
+        noise: Noise of the sensors, in the same units, shape (sensors,).
+        quantum: Quantization steps of the sensors, in the same units, shape (sensors,).
+    """
+    typical = np.array(
+        [np.median(values[np.isfinite(values)]) if np.isfinite(values).any() else 0.0 for values in outputs.T]
+    )
+    of_speed = np.array([sensor.quantity == "speed" for sensor in machine.sensors])
+    return bool(np.any(of_speed & (np.abs(typical) > _STEADY_SPEED * np.maximum(noise, quantum))))
+
+
 def runs_that_should_move(data: Dataset, machine: Machine, moving: Sequence[str]) -> dict[str, str]:
     """Find runs at rest with inputs that set the machine in motion in another run.
 
@@ -326,6 +342,7 @@ def runs_that_should_move(data: Dataset, machine: Machine, moving: Sequence[str]
     Returns:
         Name of a run that starts from rest with inputs of which none is larger, root mean square and peak, by the name
         of each run that should move. Empty for drives that follow a set point, which rest at any constant position.
+        A run at a constant measured speed moves.
     """
 
     def sizes(run: PreparedRecording) -> Array:
@@ -341,6 +358,10 @@ def runs_that_should_move(data: Dataset, machine: Machine, moving: Sequence[str]
     found = {}
     for run in data.runs:
         weaker = [name for name, size in started.items() if np.all(size <= sizes(run))]
-        if weaker and run.name not in moving:
+        if (
+            weaker
+            and run.name not in moving
+            and not turns_steadily(run.outputs, data.noise, data.quantum, machine)
+        ):
             found[run.name] = weaker[0]
     return found

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..arrays import Array
 from ..errors import InputError, suggestion
-from ..recordings import Recording
+from ..recordings import Recording, peak_to_peak
 from .dataset import MIN_ROWS
 from .sensor_properties import difference_noise
 
@@ -39,6 +39,30 @@ def divide_runs(recordings: Sequence[Recording], chosen: Sequence[str] = ()) -> 
     held_out = hold_out(recordings, chosen)
     _require_motion([recording for recording in recordings if recording.name not in held_out])
     return held_out
+
+
+def copied_runs(recordings: Sequence[Recording]) -> dict[str, str]:
+    """Find runs that have the same commands and measurements as another run in every row: copies of a file.
+
+    With a copy of a held-out run among the fitted ones, the held-out error says nothing. No machine repeats a motion to
+    the last digit, unless nothing moves.
+
+    Args:
+        recordings: All runs, in the order in which the first one of equal runs is kept.
+
+    Returns:
+        Name of the run that a run copies, by the name of the copy.
+    """
+    first_of: dict[bytes, str] = {}
+    copies = {}
+    for recording in recordings:
+        moves = peak_to_peak(recording.outputs).any()
+        original = first_of.setdefault(
+            recording.inputs.tobytes() + recording.outputs.tobytes(), recording.name
+        )
+        if moves and original != recording.name:
+            copies[recording.name] = original
+    return copies
 
 
 def _require_rows(recordings: Sequence[Recording]) -> None:

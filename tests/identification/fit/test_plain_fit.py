@@ -126,14 +126,17 @@ def test_identification_starts_from_the_motion_where_the_file_is_wrong_by_a_fact
 
 
 def test_a_term_that_the_held_out_run_refutes_is_removed_from_the_plain_fit() -> None:
-    """The axis was tilted in the fitted runs; one more, in which nothing moved, is not fitted."""
+    """The axis was tilted in the fitted runs. One more, in which nothing moved, and copies of runs are not fitted."""
     tilted = axis(TRUE).with_effects(EFFECTS["constant_force"].at("x", size=3.0))
     level = dataclasses.replace(measure(axis(TRUE), runs=4)[3], name="run_04")
     fitted = measure(tilted)
     silent = dataclasses.replace(fitted[0], name="run_05", outputs=0.0 * fitted[0].outputs)
-    result = identify([*fitted, level, silent], axis(TRUE), held_out=["run_04"], budget=0.0)
+    copies = [dataclasses.replace(r, name=name) for r, name in ((level, "a_copy"), (fitted[0], "run_06"))]
+    result = identify([*fitted, level, silent, *copies], axis(TRUE), held_out=["run_04"], budget=0.0)
     assert result.plain is not None
     assert result.plain.terms == ()
+    assert "Not used: a_copy is a copy of run_04, the same in every row." in result.excluded
+    assert "Not used: run_06 is a copy of run_01, the same in every row." in result.excluded
     assert any(w.startswith("Not used: nothing moves in run_05, although run_01") for w in result.excluded)
     assert [run.name for run in result.fitted.runs] == [run.name for run in fitted]
 

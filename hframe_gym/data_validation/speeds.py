@@ -1,0 +1,82 @@
+"""Find sensors of speeds that contradict the sensors of positions: another unit, scale or sign."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.integrate import cumulative_trapezoid
+
+from ..arrays import Array
+from ..machine import Machine
+from ..recordings import Recording
+from .findings import Finding
+from .wiring import rigid_prediction
+
+# Fraction of a run over which motions are compared: long enough for filters of speeds and steps of positions, short
+# enough that an offset of the speed does not add up.
+_WINDOW = 0.1
+_MIN_WINDOWS = 20  # that a ratio needs, all runs together
+_LARGEST_RATIO = 1.5  # of speeds; a tachometer may be wrong by 20 %, and identification finds that
+_CORRELATION = 0.9  # below it, something else than a factor is wrong, or the motion is too fast for the log
+
+
+def check_speeds(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
+    """Compare the sensors of speeds that have a sign with the speeds at which the positions change.
+
+    Args:
+        recordings: Runs in which the machine moves, without outliers.
+        machine: Declared machine.
+
+    Returns:
+        A finding of severity "fault" for each sensor of speeds that measures another multiple than 1.
+    """
+    speeds = [j for j, sensor in enumerate(machine.sensors) if sensor.of_velocity]
+    positions = machine.position_sensors
+    if not speeds or not positions.any():
+        return []
+    integrated = machine.replace(effects=()).with_components(
+        *(dataclasses.replace(machine.sensors[j], kind="encoder") for j in speeds)
+    )
+    findings = []
+    for j in speeds:
+        parts = [_changes(recording, j, positions, integrated) for recording in recordings]
+        measured, expected = np.concatenate(parts).T
+        power = float(np.sqrt((measured @ measured) * (expected @ expected)))
+        if len(measured) < _MIN_WINDOWS or not power or abs(measured @ expected) < _CORRELATION * power:
+            continue
+        ratio = float(measured @ expected / (expected @ expected))
+        if not 1.0 / _LARGEST_RATIO < ratio < _LARGEST_RATIO:
+            findings.append(_finding(machine, j, ratio))
+    return findings
+
+
+def _changes(recording: Recording, speed: int, positions: Array, machine: Machine) -> Array:
+    """Return integrals of a speed over parts of a run, and the changes that the positions predict, shape (parts, 2)."""
+    values = recording.outputs[:, speed]
+    rows = np.flatnonzero(np.isfinite(values))
+    prediction = rigid_prediction(np.where(positions, recording.outputs, np.nan), speed, machine)
+    if prediction is None or len(rows) < 2:
+        return np.zeros((0, 2))
+    time_s, expected = recording.time_s[rows], prediction[0][rows]
+    travel = cumulative_trapezoid(values[rows], time_s, initial=0.0)
+    known = np.isfinite(expected)
+    if np.count_nonzero(known) < 2:
+        return np.zeros((0, 2))
+    window = max(1, round(_WINDOW * len(rows)))
+    both = np.column_stack([travel, np.interp(time_s, time_s[known], expected[known])])
+    return (both[window:] - both[:-window])[:: max(1, window // 4)]
+
+
+def _finding(machine: Machine, speed: int, ratio: float) -> Finding:
+    """Return the finding about a sensor of speeds that measures a multiple of the speed of the positions."""
+    channel = machine.sensors[speed].channel
+    others = ", ".join(sensor.channel for sensor in machine.sensors if sensor.of_position)
+    verb = "change" if "," in others else "changes"
+    message = (
+        f"is {ratio:.3g} times the speed at which {others} {verb}: a unit, scale or gear ratio of one of them is "
+        f"wrong. If it is that of the speed: hframe import FILE --scale {channel}={1.0 / ratio:.4g} (times its present "
+        "factor)"
+    )
+    return Finding("fault", "", channel, message)

@@ -1,0 +1,77 @@
+"""Speeds that contradict positions, and motion at a constant speed."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+
+import numpy as np
+import pytest
+
+from hframe_gym.data_validation import check_before_fit, check_recordings
+from hframe_gym.dynamics import simulate
+from hframe_gym.identification import prepare
+from hframe_gym.machine import BUILTIN_MACHINES, Machine, Sensor
+from hframe_gym.preparation.dataset import runs_that_should_move
+from hframe_gym.recordings import Recording
+from tests.data_validation.planted_mistakes import faults
+
+SPEED_NOISE = 0.3  # rad/s
+
+
+def motor(*, position: bool = True) -> Machine:
+    """Return a motor with a tachometer and, if wanted, a coarse encoder."""
+    speed = Sensor("speed_rad_s", {"shaft": 1.0}, noise=SPEED_NOISE, kind="speed")
+    encoder = Sensor("angle_rad", {"shaft": 1.0}, resolution=0.3, kind="encoder")
+    return BUILTIN_MACHINES["motor"]().replace(sensors=(encoder, speed) if position else (speed,))
+
+
+def run(machine: Machine, volts: tuple[float, ...], name: str = "run") -> Recording:
+    """Return a simulated run with levels of the voltage that last 0.25 s each, and the noise of the tachometer."""
+    time_s = np.arange(250 * len(volts)) * 1e-3
+    inputs = np.repeat(volts, 250)[:, None]
+    outputs = simulate(machine, time_s, inputs).outputs.copy()
+    outputs[:, -1] += SPEED_NOISE * np.random.default_rng(len(volts)).normal(size=len(time_s))
+    if outputs.shape[1] > 1:
+        outputs[:, 0] = 0.3 * np.rint(outputs[:, 0] / 0.3)
+    return Recording(name, time_s, inputs, outputs)
+
+
+def scaled(factors: tuple[float, float]) -> list[str]:
+    """Return the faults of a run whose angle and speed are multiplied by factors."""
+    measured = run(motor(), (0.0, 6.0, -4.0, 8.0, -10.0, 3.0, 0.0))
+    return faults(
+        check_before_fit([dataclasses.replace(measured, outputs=measured.outputs * factors)], motor())
+    )
+
+
+@pytest.mark.parametrize("factors", [(1.0, 1.0), (1.0, 1.2)])
+def test_speeds_that_agree_with_positions_are_no_fault(factors: tuple[float, float]) -> None:
+    assert scaled(factors) == []
+
+
+@pytest.mark.parametrize(
+    ("factors", "message"),
+    [
+        ((1.0, 60 / (2 * np.pi)), "speed_rad_s: is 9.5[0-9] times the speed at which angle_rad changes"),
+        ((4.9, 1.0), "speed_rad_s: is 0.204 times the speed at which angle_rad changes.*speed_rad_s=4.9"),
+        ((1.0, -1.0), "speed_rad_s: is (-1|-0.99.) times"),
+    ],
+)
+def test_a_speed_that_contradicts_the_position_is_a_fault(factors: tuple[float, float], message: str) -> None:
+    [line] = scaled(factors)
+    assert re.search(message, line)
+
+
+def test_a_run_at_a_constant_speed_moves_and_copies_are_told() -> None:
+    """The tachometer shows 230 rad/s throughout one run; in another one, it was not connected."""
+    machine = motor(position=False)
+    started = run(machine, (0.0, 12.0, 12.0), "started")
+    steady = Recording("steady", started.time_s[500:], started.inputs[500:], started.outputs[500:])
+    blocked = dataclasses.replace(steady, name="blocked", outputs=0.0 * steady.outputs)
+    copy = dataclasses.replace(started, name="the copy")
+    runs = [started, steady, blocked]
+    assert runs_that_should_move(prepare(runs, machine), machine, ["started"]) == {"blocked": "started"}
+    findings = check_recordings([*runs, copy], machine)
+    assert [f.run for f in findings if "nothing moves" in f.message] == ["blocked"]
+    assert [f.run for f in findings if "is a copy of started" in f.message] == ["the copy"]
