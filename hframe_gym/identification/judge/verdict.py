@@ -302,6 +302,19 @@ def is_worse_than(ratio: float, left: float, criteria: SelectionCriteria) -> boo
     return ratio**2 > 1.0 + criteria.min_gain and not left <= criteria.max_noise_ratio_explained
 
 
+def forces_contradict(lacking: float, without: float) -> bool:
+    """Return whether the measured forces contradict effects whose values were fitted to complete runs.
+
+    A cause exerts its force at every moment. Effects that bring the end of a long simulation closer, but miss more of
+    the forces on the way than the machine without them, compensate for something else.
+
+    Args:
+        lacking: Force that the machine with the effects lacks, relative to that of the drives.
+        without: The same of the refitted machine without them.
+    """
+    return lacking > AS_GOOD * without
+
+
 def needs_description(verdict: Verdict, names: int, left: float, criteria: SelectionCriteria) -> bool:
     """Return whether what is left should be described, because no cause of it is named.
 

@@ -21,7 +21,7 @@ from ..fit.estimation import Fit, prediction_cost
 from ..fit.plain_fit import PlainFit, equally_weighted, refined_equally
 from ..fit.voltage_updates import VoltagesChangeError
 from ..judge.criteria import SelectionCriteria
-from ..judge.verdict import description_helps, is_worse_than, needs_description
+from ..judge.verdict import description_helps, forces_contradict, is_worse_than, needs_description
 from ..predict.prediction import SIMULATION
 from ..search.forward_selection import EffectSearch
 from .evaluation import Evaluated, HeldOutTest, without_names
@@ -35,6 +35,12 @@ _REFINED = (
     "The parameters were fitted again in simulation, because the plain fit of inertia and friction predicted the "
     "held-out runs better."
 )
+_NO_CAUSES = (
+    "The machine that is delivered has {}, with values that were fitted to complete runs, because the plain fit of "
+    "inertia and friction predicted the held-out runs better than the values of the search. They are no causes: with "
+    "them, the machine lacks {:.3g} % of the drives' force, without them {:.3g} %."
+)
+_CONTRADICTED = "with values that predict complete runs, more force is missing than without it"
 _WORSE_THAN_PLAIN = "predicts the held-out runs worse than a plain fit of inertia and friction"
 _PLAIN_DELIVERED = (
     "The machine that is delivered is the plain fit of inertia and friction, because that of the search has {:.3g} "
@@ -140,7 +146,13 @@ def _compared(
         selected = tuple(s.with_values(after.machine) for s in outcome.selected)
         again = test.evaluate(outcome._replace(after=after, selected=selected))
         if error_ratio(again.after, reference) < ratio and not _is_worse(again.after, reference, test):
-            return result, again, _REFINED
+            lacking, without = again.after.held_out.lacking, evaluated.before.held_out.lacking
+            if lacking is None or without is None or not forces_contradict(lacking, without):
+                return result, again, _REFINED
+            labels = ", ".join(s.effect.label for s in outcome.selected)
+            sentence = _NO_CAUSES.format(labels, 100.0 * lacking, 100.0 * without)
+            log(sentence)
+            return result, _instead(evaluated, after, _CONTRADICTED), sentence
     if not _is_worse(evaluated.after, reference, test):
         return result, evaluated, ""
     sentence = _PLAIN_DELIVERED.format(

@@ -152,3 +152,17 @@ def test_a_machine_that_leaves_more_than_noise_may_be_worse_than_the_plain_fit(
     ratio: float, left: float, worse: bool
 ) -> None:
     assert judge.is_worse_than(ratio, left, CRITERIA) == worse
+
+
+@pytest.mark.parametrize(
+    ("lacking", "without", "contradicted"),
+    [
+        (0.36, 0.066, True),  # a cart under a relay: a swinging payload that does not exist
+        (0.05, 0.066, False),
+        (0.067, 0.066, False),  # equal
+    ],
+)
+def test_effects_with_which_more_force_is_missing_are_contradicted(
+    lacking: float, without: float, contradicted: bool
+) -> None:
+    assert judge.forces_contradict(lacking, without) == contradicted
