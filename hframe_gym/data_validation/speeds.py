@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 
 from ..arrays import Array
@@ -52,7 +53,7 @@ def check_speeds(recordings: Sequence[Recording], machine: Machine) -> list[Find
     return findings
 
 
-def _changes(recording: Recording, speed: int, positions: Array, machine: Machine) -> Array:
+def _changes(recording: Recording, speed: int, positions: NDArray[np.bool_], machine: Machine) -> Array:
     """Return integrals of a speed over parts of a run, and the changes that the positions predict, shape (parts, 2)."""
     values = recording.outputs[:, speed]
     rows = np.flatnonzero(np.isfinite(values))
