@@ -310,7 +310,7 @@ def forces_contradict(lacking: float, without: float) -> bool:
 
     Args:
         lacking: Force that the machine with the effects lacks, relative to that of the drives.
-        without: The same of the refitted machine without them.
+        without: Force that the refitted machine without them lacks, relative to that of the drives.
     """
     return lacking > AS_GOOD * without
 
