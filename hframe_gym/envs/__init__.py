@@ -6,8 +6,6 @@ needs an extra.
 
 from .actuators import ACTUATOR_PRESETS, Actuators, ActuatorsLike, action_space
 from .config import EnvConfig, EnvOptions, MachineLike, as_machine
-from .disturbance_wrappers import DisturbanceWrapper, VectorDisturbanceWrapper, machine_for_disturbances
-from .disturbances import DISTURBANCES, Disturbance
 from .domain_randomization import (
     DISTRIBUTIONS,
     RANDOMIZATION_PRESETS,
@@ -20,15 +18,6 @@ from .domain_randomization import (
     Uniform,
 )
 from .hframe_env import HFrameEnv, HFrameTrackEnv
-from .quantities import QUANTITIES, Quantity, StepRecord, quantity
-from .quantity_wrappers import (
-    CostWrapper,
-    ObserveQuantities,
-    PenaltyWrapper,
-    VectorCostWrapper,
-    VectorObserveQuantities,
-    VectorPenaltyWrapper,
-)
 from .rewards import REWARDS, Reward, RewardLike
 from .sensors import (
     SENSOR_PRESETS,
@@ -43,6 +32,23 @@ from .sensors import (
 from .spaces import SignalSpec, observation_space
 from .tasks import TASKS, Reach, Task, TaskLike, Track, as_task
 from .vector_env import HFrameTrackVectorEnv, HFrameVectorEnv
+from .wrappers import (
+    DISTURBANCES,
+    QUANTITIES,
+    CostWrapper,
+    Disturbance,
+    DisturbanceWrapper,
+    ObserveQuantities,
+    PenaltyWrapper,
+    Quantity,
+    StepRecord,
+    VectorCostWrapper,
+    VectorDisturbanceWrapper,
+    VectorObserveQuantities,
+    VectorPenaltyWrapper,
+    machine_for_disturbances,
+    quantity,
+)
 
 __all__ = [
     "ACTUATOR_PRESETS",

@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, TypedDict
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..arrays import Array, Workspace
 from ..errors import InputError
 from ..machine import Machine
 from .actuators import ActuatorsLike
 from .domain_randomization import RandomizationLike
 from .rewards import RewardLike
 from .sensors import SensorsLike
-from .tasks import Task, TaskLike, check_point
+from .tasks import TaskLike
 
 MachineLike: TypeAlias = Machine | str | Path
 Ends = Literal["stops", "terminate"]
@@ -32,8 +30,6 @@ PENALTY = 100.0
 LONGEST_STEP = 0.5e-3
 # Limits of the control period, s, and of its integration steps; beyond them a step of the environment takes minutes.
 SHORTEST_PERIOD, LONGEST_PERIOD, MOST_STEPS = 1e-6, 10.0, 100_000
-
-TRIED_EPISODES = 16  # for which the methods of a task are checked
 
 
 class EnvOptions(TypedDict, total=False):
@@ -167,180 +163,6 @@ def check_render_mode(mode: str | None, modes: Sequence[str]) -> str | None:
     if mode is not None and mode not in modes:
         raise InputError(f"render_mode is {mode!r}; choose one of {', '.join(modes)} or None")
     return mode
-
-
-def check_reset_options(
-    options: Any, workspace: Workspace, count: int, others: Sequence[str] = ()
-) -> dict[str, NDArray[np.float64]]:
-    """Check the argument `options` of an environment's `reset`.
-
-    Args:
-        options: Dict with the optional keys `start` and `target`: positions of the tool and of the goal, m, shape
-            (axes,) for all environments or (count, axes). None: no options.
-        count: Number of environments that are reset.
-        others: Further keys that are accepted and not checked, for example `parameters` and `state`.
-
-    Returns:
-        Positions by key, m, shape (count, axes); without the keys that are not given.
-
-    Raises:
-        InputError: If the options are not a dict or a key is unknown. Also if a position is not numeric, has another
-            shape or is outside the workspace.
-    """
-    if options is None:
-        return {}
-    accepted = " and ".join(map(repr, ("start", "target", *others)))
-    if not isinstance(options, Mapping):
-        raise InputError(f"reset: options is {options!r}, it must be a dict, with the keys {accepted}")
-    given = dict(options)
-    unknown = [name for name in given if name not in ("start", "target", *others)]
-    if unknown:
-        raise InputError(f"reset: unknown option {', '.join(map(repr, unknown))}; it takes {accepted}")
-    points, axes = {}, len(workspace)
-    for name in (name for name in ("start", "target") if given.get(name) is not None):
-        label = f"options[{name!r}]"
-        try:
-            values = np.asarray(given[name], np.float64)
-        except (TypeError, ValueError):
-            raise InputError(f"{label} is {given[name]!r}, it must be a position, numbers in m") from None
-        check_point(label, values, workspace)
-        if values.ndim > 1 and values.shape not in ((1, axes), (count, axes)):
-            raise InputError(f"{label} has shape {values.shape}, it must be ({axes},) or ({count}, {axes})")
-        points[name] = np.array(np.broadcast_to(values, (count, axes)))
-    return points
-
-
-def check_reset_parameters(
-    given: Any, names: Sequence[str], lower: Array, upper: Array, count: int
-) -> dict[str, NDArray[np.float64]]:
-    """Check the option `parameters` of an environment's `reset`.
-
-    Args:
-        given: Values by full name ("x.mass"), SI: one for all environments, or one per environment that is reset.
-        names: Names of the N parameters that the environment has.
-        lower: Smallest value that each parameter may have, shape (N,).
-        upper: Largest value that each parameter may have, shape (N,).
-        count: Number of environments that are reset.
-
-    Returns:
-        Values by name, shape (count,).
-
-    Raises:
-        InputError: If a name is unknown, or a value has another shape, is not finite or outside its limits.
-    """
-    label = "reset: options['parameters']"
-    if not isinstance(given, Mapping):
-        raise InputError(
-            f"{label} is {given!r}, it must be a dict of values by name, such as {{'{names[0]}': 1.0}}"
-        )
-    parameters = {}
-    for name, value in given.items():
-        if name not in names:
-            similar = get_close_matches(str(name), names, n=3, cutoff=0.4) or names[:3]
-            raise InputError(
-                f"{label}: unknown parameter {name!r}; names are, for example, {', '.join(similar)}"
-            )
-        values = _numbers(f"{label}[{name!r}]", value, ((), (1,), (count,)), f"a number or {count} numbers")
-        column = np.array(np.broadcast_to(values, (count,)))
-        i = list(names).index(name)
-        for outside in column[(column < lower[i]) | (column > upper[i])][:1]:
-            raise InputError(
-                f"{label}[{name!r}] is {outside:g}, it must be from {lower[i]:g} to {upper[i]:g}"
-            )
-        if name.endswith(".converter_bits") and (column != np.rint(column)).any():
-            raise InputError(f"{label}[{name!r}] is {value!r}, it must be an integer")
-        parameters[name] = column
-    return parameters
-
-
-def check_reset_state(given: Any, machine: Machine, workspace: Workspace, count: int) -> NDArray[np.float64]:
-    """Check the option `state` of an environment's `reset`.
-
-    Args:
-        given: Positions of the n coordinates, then their velocities, in the order of `machine.coordinate_names`, m or
-            rad and m/s or rad/s, shape (2 n,) for all environments, or (count, 2 n).
-        count: Number of environments that are reset.
-
-    Returns:
-        States, shape (count, 2 n).
-
-    Raises:
-        InputError: If the state has another shape, is not finite, or the tool is outside the workspace.
-    """
-    label, size = "reset: options['state']", 2 * len(machine.coordinates)
-    order = ", ".join(machine.coordinate_names)
-    needed = f"positions of {order} and then their velocities, shape ({size},) or ({count}, {size})"
-    values = _numbers(label, given, ((size,), (1, size), (count, size)), needed)
-    tool = [machine.coordinate_names.index(axis) for axis in machine.tool_axes]
-    check_point(f"{label}: the tool", values[..., tool], workspace)
-    return np.array(np.broadcast_to(values, (count, size)))
-
-
-def _numbers(label: str, given: Any, shapes: Sequence[tuple[int, ...]], needed: str) -> Array:
-    """Return a finite array of one of some shapes; raise InputError with the label for another."""
-    try:
-        values = np.asarray(given, np.float64)
-    except (TypeError, ValueError):
-        raise InputError(f"{label} is {given!r}, it must be {needed}") from None
-    if values.shape not in shapes:
-        raise InputError(f"{label} has shape {values.shape}, it must be {needed}")
-    if not np.isfinite(values).all():
-        raise InputError(
-            f"{label} has the value {values[~np.isfinite(values)].ravel()[0]}, it must be finite"
-        )
-    return values
-
-
-def check_task(task: Task, workspace: Workspace) -> None:
-    """Check that a task fits into a workspace and that its methods return arrays of the right shapes.
-
-    The methods are called for a few trial episodes with fixed random numbers.
-
-    Raises:
-        InputError: If the task does not fit into the workspace, or a method returns another shape, a number that is not
-            finite, or a start or goal outside the workspace.
-    """
-    task.check(workspace)
-    axes, count, label = len(workspace), TRIED_EPISODES, f"task {task.name}"
-    uniforms = np.random.default_rng(0).uniform(size=(count, task.draws))
-    nominal = {name: np.full(count, value) for name, value in task.parameters.items()}
-    episodes = task.begin(workspace, uniforms, nominal)
-    if not (isinstance(episodes, tuple) and len(episodes) == 2):
-        raise InputError(
-            f"{label}: begin must return two arrays, the starts and the plans of {count} episodes"
-        )
-    start, plan = map(np.asarray, episodes)
-    _check_array(f"{label}: begin must return starts", start, (count, axes))
-    check_point(f"{label}: starts that begin returns", start, workspace)
-    entries = plan.shape[1] if plan.ndim == 2 else task.plan_size
-    _check_array(f"{label}: begin must return plans", plan, (count, entries))
-    elapsed_s = np.zeros((count, 2))
-    goals = np.asarray(task.goal(plan, elapsed_s[:, 0]))
-    _check_array(f"{label}: goal must return, for times of shape ({count},), goals", goals, (count, axes))
-    check_point(f"{label}: goals", goals, workspace)
-    later = np.asarray(task.goal(plan, elapsed_s))
-    _check_array(
-        f"{label}: goal must return, for times of shape ({count}, 2), goals", later, (count, 2, axes)
-    )
-    if task.metrics == "track":
-        contour = task.contour(plan, start, elapsed_s[:, 0])
-        if contour is None:
-            raise InputError(
-                f"{label} has metrics 'track', so it must implement contour; the default returns None"
-            )
-        _check_array(f"{label}: contour must return distances", np.asarray(contour), (count,))
-
-
-def _check_array(label: str, values: NDArray[Any], shape: tuple[int, ...]) -> None:
-    """Raise InputError unless an array has a shape and finite numbers; the label is the beginning of the message."""
-    is_number = values.dtype.kind in "fiu"
-    if values.shape != shape or not is_number or not np.all(np.isfinite(values)):
-        problem = (
-            "not finite"
-            if is_number and values.shape == shape
-            else f"of shape {values.shape} and {values.dtype}"
-        )
-        raise InputError(f"{label} of shape {shape}, finite numbers; these are {problem}")
 
 
 def as_machine(machine: MachineLike) -> Machine:

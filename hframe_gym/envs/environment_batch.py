@@ -23,7 +23,7 @@ from ..dynamics import LANES, NotFiniteError, in_parallel
 from ..errors import InputError, is_integer
 from .actuators import check_actions, with_actuators
 from .batched_simulator import BatchedSimulator, block_ranges
-from .config import EnvConfig, as_machine, check_task
+from .config import EnvConfig, as_machine
 from .machine_sampler import MachineSampler
 from .observations import Observation, ObservationBuilder
 from .rewards import PenalizedReward, as_reward, distances
@@ -32,6 +32,7 @@ from .spaces import ObservationFormat, observation_signals
 from .step_rewards import StepRewards
 from .tasks import as_task
 from .tasks.base import ReferenceTrajectories
+from .tasks.trial import check_task
 from .workspace import outside_workspace, workspace_of
 
 Flags = NDArray[np.bool_]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
 from typing import Any, ClassVar, Unpack
 
 import gymnasium as gym
@@ -13,100 +12,15 @@ from typing_extensions import override
 
 from ..errors import InputError
 from .actuators import action_space
-from .config import (
-    EnvConfig,
-    EnvOptions,
-    check_keywords,
-    check_render_mode,
-    check_reset_options,
-    check_reset_parameters,
-    check_reset_state,
-)
+from .batch_properties import BatchProperties
+from .config import EnvConfig, EnvOptions, check_keywords, check_render_mode
 from .environment_batch import EnvironmentBatch
 from .observations import Observation
 from .rendering import TRAIL_LENGTH, Renderer, Scene, tool_point
-from .saved_state import FORMAT, batch_state, check_state, generator_state, restore_batch
-from .spaces import SignalSpec
+from .reset_options import reset_keywords
+from .saved_state import generator_state
 
 _ONLY = np.zeros(1, np.intp)
-
-
-class BatchProperties:
-    """Properties that a single environment and a vector of environments take from their batch.
-
-    Attributes:
-        batch: The simulated environments.
-    """
-
-    batch: EnvironmentBatch
-
-    @property
-    def entries(self) -> tuple[SignalSpec, ...]:
-        """Name, unit and bounds of every entry of the observation array `observation`, in order.
-
-        Each also has `center` and `scale`: with `normalize=True` an observed entry is (value - center) / scale. With
-        `flat=True`, the tuple lists the entries of the single observation array.
-        """
-        return self.batch.format.entries or self.batch.observations.entries
-
-    @property
-    def privileged_entries(self) -> tuple[SignalSpec, ...]:
-        """Name, unit and bounds of every entry of `privileged`, the observation array for a critic, in order.
-
-        The entries are the true state and then the randomized parameters. Each also has `center` and `scale`: with
-        `normalize=True` an observed entry is (value - center) / scale. Empty unless `privileged=True`.
-        """
-        return self.batch.observations.privileged
-
-    @property
-    def compute_reward(self) -> Callable[[Any, Any, Any], Any]:
-        """Function (achieved_goal, desired_goal, info) -> reward, for example to relabel goals (hindsight replay).
-
-        The function takes goals as observed (m; with `normalize` dimensionless), shape (axes,) or (n, axes). It returns
-        a float or an array of shape (n,), dimensionless. For the goals that `step` returned, it returns exactly the
-        rewards of `step`. Only the reward "progress" uses `info`: it reads the goals before the step
-        (`previous_achieved_goal`).
-
-        Raises:
-            AttributeError: With `flat=True`, because the observation then has no goals.
-        """
-        if self.batch.config.flat:
-            raise AttributeError(
-                "with flat=True there is no compute_reward, because the observation has no goals"
-            )
-        return self.batch.rewards.compute
-
-    def _shared_state(self, kind: str) -> dict[str, Any]:
-        """Return the part of a saved state that single and vector environments have in common."""
-        self.batch.require_reset("get_state")
-        return {
-            "format": FORMAT,
-            "kind": kind,
-            "fingerprint": self.batch.fingerprint,
-            "batch": batch_state(self.batch),
-        }
-
-    def _restore_shared(self, state: Any, kind: str) -> None:
-        """Check a saved state and restore the part that single and vector environments have in common."""
-        check_state(state, kind, self.batch)
-        restore_batch(self.batch, state["batch"])
-
-    def _reset_keywords(self, options: Any, count: int, others: tuple[str, ...] = ()) -> dict[str, Any]:
-        """Check the options of a reset of `count` environments; return keywords of `EnvironmentBatch.reset`."""
-        batch, space = self.batch, self.batch.sampler.space
-        points = check_reset_options(options, batch.workspace, count, ("parameters", "state", *others))
-        keywords: dict[str, Any] = dict(points)
-        if "target" in keywords:
-            keywords["plan"] = batch.task.aim(keywords.pop("target"))
-        given = options or {}
-        if given.get("parameters") is not None:
-            limits = space.lower, space.upper
-            keywords["parameters"] = check_reset_parameters(given["parameters"], space.names, *limits, count)
-        if given.get("state") is not None:
-            if "start" in keywords:
-                raise InputError("reset: give options['start'] or options['state'], not both")
-            keywords["motion"] = check_reset_state(given["state"], batch.machine, batch.workspace, count)
-        return keywords
 
 
 class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
@@ -243,12 +157,12 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
                 limits, a position is outside the workspace, `target` is given for a task without one, such as "track",
                 or an unbounded distribution yields an impossible parameter.
         """
-        reset_options = self._reset_keywords(options, 1)  # an error changes no random numbers
+        keywords = reset_keywords(options, self.batch, 1)  # an error changes no random numbers
         super().reset(seed=seed)
         if self._seeded_by is not self.np_random or seed is not None:
             self._seeded_by = self.np_random
             self.batch.sampler.seed(0, self.np_random)
-        self.batch.reset(_ONLY, **reset_options)
+        self.batch.reset(_ONLY, **keywords)
         self._parameters = {name: value.item() for name, value in self.batch.randomized(_ONLY).items()}
         observation = self._first(self.batch.observe())
         info = self._info(self.batch.distance(_ONLY).item(), self.batch.contour(_ONLY))

@@ -17,11 +17,13 @@ from ..arrays import Array, Index
 from ..errors import InputError, is_integer
 from ..machine import Machine
 from .actuators import action_space
+from .batch_properties import BatchProperties
 from .config import EnvConfig, EnvOptions, check_keywords, check_render_mode
 from .environment_batch import EnvironmentBatch, Flags, StepResult
-from .hframe_env import BatchProperties, require_path
+from .hframe_env import require_path
 from .observations import Observation
 from .rendering import TRAIL_LENGTH, Renderer, Scene, tool_point
+from .reset_options import reset_keywords
 
 _KEYWORDS = ("num_envs", "max_episode_steps", "autoreset_mode", "render_mode")
 
@@ -148,10 +150,10 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
         mask = options.get("reset_mask") if isinstance(options, Mapping) else None
         index = self._selected(mask)
         # Errors change no random numbers.
-        reset_options = self._reset_keywords(options, len(index), ("reset_mask",))
+        keywords = reset_keywords(options, self.batch, len(index), ("reset_mask",))
         for b, generator in self._generators(seed, index).items():
             self.batch.sampler.seed(b, generator)
-        self.batch.reset(index, **reset_options)
+        self.batch.reset(index, **keywords)
         self._over[index] = False
         self._collect_parameters()
         self._update_trails(index)

@@ -25,7 +25,7 @@ from hframe_gym.envs import (
     VectorPenaltyWrapper,
     machine_for_disturbances,
 )
-from hframe_gym.envs.quantities import quantity
+from hframe_gym.envs.wrappers.quantities import quantity
 from hframe_gym.errors import InputError
 from hframe_gym.machine import BUILTIN_MACHINES
 

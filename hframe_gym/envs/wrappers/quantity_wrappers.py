@@ -16,9 +16,9 @@ from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 from gymnasium.vector.utils import batch_space
 from typing_extensions import override
 
-from ..arrays import Array
-from ..errors import InputError, is_number
-from .environment_batch import EnvironmentBatch
+from ...arrays import Array
+from ...errors import InputError, is_number
+from ..environment_batch import EnvironmentBatch
 from .quantities import QUANTITIES, Quantity, StepRecord
 
 KEY = "quantities"  # of the observation entry that `ObserveQuantities` adds

@@ -12,11 +12,11 @@ from functools import cached_property
 
 import numpy as np
 
-from ..arrays import Array
-from ..dynamics import Equations, MotionPoint
-from ..registry import Registry
-from .environment_batch import EnvironmentBatch
-from .workspace import outside_workspace
+from ...arrays import Array
+from ...dynamics import Equations, MotionPoint
+from ...registry import Registry
+from ..environment_batch import EnvironmentBatch
+from ..workspace import outside_workspace
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,9 @@ from typing import Protocol
 import numpy as np
 from typing_extensions import override
 
-from ..arrays import Array
-from ..errors import InputError
-from ..registry import Registry
+from ...arrays import Array
+from ...errors import InputError
+from ...registry import Registry
 
 
 class Disturbance(Protocol):

@@ -9,11 +9,11 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 
-from ..effects import EFFECTS
-from ..errors import InputError
-from ..machine import Machine
+from ...effects import EFFECTS
+from ...errors import InputError
+from ...machine import Machine
+from ..environment_batch import EnvironmentBatch
 from .disturbances import DISTURBANCES
-from .environment_batch import EnvironmentBatch
 
 # Distinguishes the random numbers of disturbances from those of the environment with the same seed.
 _STREAM = 7_919
