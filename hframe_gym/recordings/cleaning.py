@@ -216,10 +216,11 @@ def outlier_mask(recording: Recording, machine: Machine) -> Mask:
 
     The departure of a group of samples is its smallest distance from three straight lines: through the two samples
     before it, through the two after it, and between its neighbors. A kink or step of a real motion (end stop, Coulomb
-    friction) lies on one of these lines, so it is kept. The departure of an outlier exceeds all of these: 12 times the
-    median and 4 times the 98th percentile of the sensor's departures in this run; 8 times the noise; 4 times the
-    resolution; and the distance that a change of speed explains. The first and the last measurement are outliers if
-    the step to their neighbor exceeds 5 times the largest other step, 8 times the noise and 4 times the resolution.
+    friction) lies on one of these lines, so it is kept, and so are samples that lead from one neighbor to the other.
+    The departure of an outlier exceeds all of these: 12 times the median and 4 times the 98th percentile of the
+    sensor's departures in this run; 8 times the noise; 4 times the resolution; and the distance that a change of speed
+    explains. The first and the last measurement are outliers if the step to their neighbor exceeds 5 times the largest
+    other step, 8 times the noise and 4 times the resolution.
 
     Args:
         recording: Run to examine, with n rows.
@@ -309,20 +310,23 @@ def _goes_on(steps: Array, spans: Array, i: int) -> bool:
 def _isolated_samples(time_s: Array, values: Array, floor: float) -> Mask:
     """Return the mask of the outliers among the measured samples of one channel, shape (n,).
 
-    Short departures are removed first, so that a second one nearby does not spoil the scale of a longer one.
+    Short departures are removed first, so that a second one nearby does not spoil the scale of a longer one. What is
+    left of a group of wrong samples is found when its others have been removed.
 
     Args:
         time_s: Sample times, s, strictly increasing, shape (n,).
         values: Finite measurements, shape (n,).
         floor: Departure below which no sample is an outlier, in the unit of the values.
     """
-    outliers = np.zeros(len(values), np.bool_)
-    for length in range(1, _LONGEST_OUTLIER + 1):
-        kept = np.flatnonzero(~outliers)
-        if len(kept) < _MIN_SAMPLES:
-            break
-        for first in _isolated_segments(time_s[kept], values[kept], length, floor):
-            outliers[kept[first : first + length]] = True
+    outliers, before = np.zeros(len(values), np.bool_), -1
+    while np.count_nonzero(outliers) > before:
+        before = np.count_nonzero(outliers)
+        for length in range(1, _LONGEST_OUTLIER + 1):
+            kept = np.flatnonzero(~outliers)
+            if len(kept) < _MIN_SAMPLES:
+                break
+            for first in _isolated_segments(time_s[kept], values[kept], length, floor):
+                outliers[kept[first : first + length]] = True
     kept = np.flatnonzero(~outliers)
     for edge, neighbor in ((kept[0], kept[1]), (kept[-1], kept[-2])):
         regular = np.abs(np.diff(values[kept[1:-1]])).max(initial=0.0)
@@ -341,9 +345,18 @@ def _isolated_segments(time_s: Array, values: Array, length: int, floor: float) 
     stretch = np.maximum(duration / np.median(duration), 1.0) ** 2
     candidates = np.flatnonzero(departures > threshold * stretch).tolist()
     isolated = [
-        i for i in candidates if departures[i] > _SPEED_FACTOR * _speed_change(time_s, values, i + 2, length)
+        i
+        for i in candidates
+        if not _passes(values[i + 1 : i + length + 3])
+        and departures[i] > _SPEED_FACTOR * _speed_change(time_s, values, i + 2, length)
     ]
     return np.array(isolated, int) + 2  # two samples precede the first segment
+
+
+def _passes(values: Array) -> bool:
+    """Return whether samples lead from the first to the last one in one direction, as a move in a slow log does."""
+    steps = np.diff(values)
+    return bool(np.all(steps > 0.0) or np.all(steps < 0.0))
 
 
 def _speed_change(time_s: Array, values: Array, first: int, length: int) -> float:

@@ -68,6 +68,17 @@ def test_a_dropped_word_is_found_in_every_channel(run: Recording, hframe: Machin
     assert mask.sum() == 4
 
 
+def test_the_few_samples_of_a_move_in_a_slow_log_are_no_outliers() -> None:
+    """A servo at rest, logged at 10 Hz, moves within four samples; a dropped value leaves the motion."""
+    machine = BUILTIN_MACHINES["servo"]()
+    rests = np.full(200, 2.9836), np.full(200, 3.1339)
+    angle = np.concatenate([rests[0], [2.9974, 3.0434, 3.1032, 3.1309], rests[1]])
+    log = Recording("log", 0.1 * np.arange(len(angle)), np.zeros((len(angle), 1)), angle[:, None])
+    assert not outlier_mask(log, machine).any()
+    angle[108] = 0.0
+    assert np.flatnonzero(outlier_mask(log, machine)).tolist() == [108]
+
+
 def test_outliers_are_found_between_empty_cells(run: Recording, hframe: Machine) -> None:
     x = np.where(np.arange(len(run.time_s)) % 5 == 2, run.outputs[:, X], np.nan)
     assert not outlier_mask(with_x(run, x), hframe).any()
