@@ -320,7 +320,7 @@ def _isolated_samples(time_s: Array, values: Array, floor: float) -> Mask:
     """
     outliers, before = np.zeros(len(values), np.bool_), -1
     while np.count_nonzero(outliers) > before:
-        before = np.count_nonzero(outliers)
+        before = int(np.count_nonzero(outliers))
         for length in range(1, _LONGEST_OUTLIER + 1):
             kept = np.flatnonzero(~outliers)
             if len(kept) < _MIN_SAMPLES:
