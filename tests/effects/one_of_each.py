@@ -105,6 +105,7 @@ _CASES = (
     Case("constant_force", "phi1", {"size": 0.03}, {"constant_force": _turned(0.03)}),
     Case("asymmetric_viscous", "phi1", {"a": -0.4}, {"viscous_asymmetry": _turned(-0.4)}),
     Case("quadratic_drag", "x", {"c": 40.0}, {"quadratic_drag": _x(40.0)}),
+    Case("eddy_brake", "x", {"c": 25.0, "v0": 0.1}, {"brake_drag": _x(25.0), "brake_speed": _x(0.1)}),
     Case(
         "cable_spring", "x", {"k": 60.0, "q0": 0.05}, {"spring_stiffness": _x(60.0), "spring_rest": _x(0.05)}
     ),

@@ -102,6 +102,7 @@ SITES: dict[str, tuple[str, ...]] = {
     "input_delay": ("drives", "motor2"),
     "asymmetric_viscous": ("x", "phi1"),
     "quadratic_drag": ("x", "y"),
+    "eddy_brake": ("x",),
     "cable_spring": ("x", "y"),
     "position_friction": ("x", "phi2"),
     "friction_slope": ("x",),

@@ -290,6 +290,10 @@ def effect(name: str, site: str, size: float) -> HiddenEffect:
         case "quadratic_drag":
             drag = size * _per_kind(site, 40.0, 1e-4)
             return _hidden(name, site, partial(coordinate, quadratic_drag=drag), {"c": drag}, forces=("c",))
+        case "eddy_brake":
+            drag, speed = size * _per_kind(site, 25.0, 0.01), _per_kind(site, 0.1, 5.0)
+            build = partial(coordinate, brake_drag=drag, brake_speed=speed)
+            return _hidden(name, site, build, {"c": drag, "v0": speed}, forces=("c",))
         case "cable_spring":
             k, rest = size * 20.0, 0.05
             build = partial(coordinate, spring_stiffness=k, spring_rest=rest)

@@ -425,5 +425,6 @@ IN_LIBRARY = frozenset(
         "scale interpolation",
         "eccentric encoder",
         "commutation ripple",
+        "eddy brake",
     }
 )
