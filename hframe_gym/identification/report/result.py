@@ -428,7 +428,8 @@ def reason_of_remainder(report: Mapping[str, Any]) -> str:
 
     Returns:
         What a formula that is recommended in place of a table leaves, if that is clearly less; what a table does not
-        describe, for another machine with a table; or that the cause is not known.
+        describe, for another machine with a table; that voltages which the log lacks may be the cause, if the verdict
+        holds with them; or that the cause is not known.
     """
     tables = any(effect["name"].partition("[")[0] in HOOK_OF_KIND for effect in report["effects"])
     formulas = {
@@ -442,7 +443,11 @@ def reason_of_remainder(report: Mapping[str, Any]) -> str:
     error = min(formulas, default=math.inf)  # ratio of simulation error to noise, as `left`
     if is_better_than_table(error, report["left"]):
         return f"; with the proposed formula ({formulas[error]}) in place of the table, it is {number(error)} times"
-    return ". A table has straight pieces and names no cause" if tables else ", whose cause was not found"
+    if tables:
+        return ". A table has straight pieces and names no cause"
+    if report.get("unknown_voltages") and report["verdict"] != "unexplained":
+        return ", as the unknown voltages between the rows may cause"
+    return ", whose cause was not found"
 
 
 def plot_data(result: IdentificationResult) -> dict[str, Array]:

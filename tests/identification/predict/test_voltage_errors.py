@@ -9,7 +9,15 @@ import numpy as np
 import pytest
 
 from hframe_gym.arrays import Array
-from hframe_gym.identification import Dataset, Fit, SelectionCriteria, default_free_parameters, fit, prepare
+from hframe_gym.identification import (
+    Dataset,
+    Fit,
+    SelectionCriteria,
+    default_free_parameters,
+    fit,
+    identify,
+    prepare,
+)
 from hframe_gym.identification.fit.channel_errors import channel_errors
 from hframe_gym.identification.fit.covariance import with_uncertainty
 from hframe_gym.identification.fit.estimation import prediction_cost
@@ -41,6 +49,7 @@ from hframe_gym.identification.predict.voltage_errors import (
     simulation_error,
     with_voltage_errors,
 )
+from hframe_gym.identification.report.result import reason_of_remainder
 from hframe_gym.machine import BUILTIN_MACHINES
 from hframe_gym.recordings import Recording
 from tests.identification.controlled_runs import controlled_run, every, random_places
@@ -232,3 +241,10 @@ def test_a_log_with_held_voltages_or_few_rows_is_not_fitted_by_instruments() -> 
     few = dataclasses.replace(with_errors(), runs=tuple(run.first_rows(20) for run in with_errors().runs))
     assert fit_slow_log(least_squares(), few) is least_squares()
     assert fit_slow_log(least_squares(), slow_log()) is least_squares()
+
+
+def test_the_error_that_unknown_voltages_cause_refutes_no_verdict() -> None:
+    result = identify([every(controlled(seed), UPDATES) for seed in range(4)], AXIS)
+    assert result.verdict == "no_effect"
+    assert result.after.held_out.noise_ratio > 10.0
+    assert "as the unknown voltages between the rows may cause" in reason_of_remainder(result.as_json())
