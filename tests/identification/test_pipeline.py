@@ -190,6 +190,14 @@ def test_an_effect_that_only_the_held_out_run_excites_is_a_hint() -> None:
     assert "would explain" not in " ".join(chosen.run_warnings)  # the user chose this division
 
 
+def test_a_held_out_run_with_another_gain_does_not_cost_the_names() -> None:
+    *runs, last = limited_runs([6.0] * 4)
+    result = identify([*runs, dataclasses.replace(last, inputs=0.8 * last.inputs)], AXIS)
+    assert [selected.effect.label for selected in result.effects] == ["current_limit@motor"]
+    assert [run.name for run in result.held_out.runs] == ["run_0"]  # first, it was run_3
+    assert "run_3 is not used" in " ".join(result.excluded)
+
+
 def test_the_only_run_with_large_voltages_is_fitted_so_that_its_effect_is_found() -> None:
     """Every fourth run would hold it out."""
     result = identify(limited_runs([3.0, 3.0, 3.0, 9.0, 3.0]), AXIS)

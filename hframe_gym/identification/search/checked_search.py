@@ -130,7 +130,7 @@ def find_effects(
     """
     found = _search_and_check(machine, all_runs, held_names, criteria, log, budget)
     may_repeat = budget.has_time(SECOND_SEARCH_PART)
-    complete = not found.outcome.selected and not found.outcome.unfinished and may_repeat
+    complete = not found.outcome.unfinished and may_repeat
     others = _runs_to_exchange(found, log) if complete and may_exchange else []
     if others:
         exchanged = _search_and_check(machine, all_runs, others, criteria, log, budget)
