@@ -34,14 +34,21 @@ from .logs import (
     read_mapping_file,
     run_of,
 )
-from .machine_file import load_machine, machine_to_dict, save_machine
-from .machine_reader import implausible_values
-from .machine_schema import TABLES, Table, field_descriptions, field_units, fields, machine_json_schema
-from .machine_template import (
+from .machine_file import (
+    TABLES,
     TEMPLATES,
     MachineOptions,
+    Table,
     TemplateQuestion,
+    field_descriptions,
+    field_units,
+    fields,
+    implausible_values,
+    load_machine,
+    machine_json_schema,
+    machine_to_dict,
     new_machine,
+    save_machine,
     template_questions,
     write_machine_template,
 )
@@ -56,7 +63,7 @@ from .recording import (
     write_recording,
     write_trajectory,
 )
-from .table_file import read_path, recording_files
+from .tables.table_file import read_path, recording_files
 from .wrapping import Wrap, find_wrap, known_moduli, unwrapped, without_wraps, wraps_of
 
 __all__ = [

@@ -18,7 +18,7 @@ from ..errors import InputError
 from ..files import atomic_file
 from ..machine import DRIVE_KINDS, Drive, Machine, Trajectory
 from .quantities import split_unit
-from .table_file import (
+from .tables.table_file import (
     SUFFIXES,
     ForeignFormatError,
     cell_text,
@@ -29,7 +29,7 @@ from .table_file import (
     refuse_decreasing_times,
     refuse_rows,
 )
-from .text_reader import Progress, cumulative
+from .tables.text_reader import Progress, cumulative
 from .wrong_units import UNIT_WORDS, WrongUnitError
 
 MIN_ROWS = 20_000  # rows that are read of each run; typical runs have fewer

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..quantities import Meaning, is_unit, meaning_of, normalize_unit, split_unit
-from ..text_reader import Progress
+from ..tables.text_reader import Progress
 
 _LISTED = 200  # columns in a message; logs of robots have up to thousands of signals
 ROW_NUMBER = "row number"  # kind of a column that is not in the file, but counts its rows from 0

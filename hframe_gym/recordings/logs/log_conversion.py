@@ -15,8 +15,8 @@ from ...machine import Machine
 from ..cleaning import GAP_PERIODS
 from ..quantization import exact_quantum
 from ..recording import Recording, recording_from_columns
-from ..table_file import refuse_decreasing_times
-from ..text_reader import Progress
+from ..tables.table_file import refuse_decreasing_times
+from ..tables.text_reader import Progress
 from ..wrapping import find_wrap, known_moduli, unwrapped
 from ..wrong_units import WrongUnitError
 from .log import ROW_NUMBER, Log

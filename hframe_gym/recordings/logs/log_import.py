@@ -19,8 +19,8 @@ from ...files import output_batch, read_document, read_json
 from ...machine import Machine
 from ..cleaning import GAP_PERIODS
 from ..recording import Recording, run_name, write_recording
-from ..table_file import SUFFIXES
-from ..text_reader import Progress, cumulative
+from ..tables.table_file import SUFFIXES
+from ..tables.text_reader import Progress, cumulative
 from .log import Log, headers_text
 from .log_conversion import LogConverter, split_at_rests
 from .log_files import find_logs, log_size, open_logs

@@ -11,7 +11,7 @@ import pytest
 
 from hframe_gym.recordings.logs.log import Log
 from hframe_gym.recordings.logs.log_files import open_logs
-from hframe_gym.recordings.text_format import detect_format
+from hframe_gym.recordings.tables.text_format import detect_format
 
 TIME = np.arange(30) * 1e-3
 VOLTAGE = np.where(TIME < 5e-3, 0.0, 3.0)

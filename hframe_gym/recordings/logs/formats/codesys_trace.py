@@ -13,7 +13,7 @@ from typing_extensions import override
 
 from ....arrays import Array
 from ....errors import InputError
-from ...text_reader import Progress
+from ...tables.text_reader import Progress
 from ..log import Log
 from .base import KNOWN_TEXT, LOG_FORMATS, LogFormat
 from .tables import TimedTable, log_of_tables, signal_columns

@@ -22,7 +22,7 @@ from ....arrays import Array
 from ....errors import InputError
 from ....files import refuse_expansion, refuse_many_values
 from ...recording import LONGEST_RUN
-from ...text_reader import Progress
+from ...tables.text_reader import Progress
 from ..log import Log
 from .base import KNOWN_CONTENT, LOG_FORMATS, LogFormat
 from .tables import TimedTable, log_of_tables, signal_columns

@@ -12,7 +12,7 @@ from typing_extensions import override
 
 from ....errors import InputError
 from ....files import read_json
-from ...text_reader import Progress
+from ...tables.text_reader import Progress
 from ..log import Log
 from .base import KNOWN_CONTENT, LOG_FORMATS, LogFormat
 from .parquet import ParquetTable

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ....arrays import Array
 from ....errors import InputError
 from ....files import refuse_many_values
-from ...text_reader import Progress
+from ...tables.text_reader import Progress
 from ..log import Log
 from .base import first_of
 from .tables import MOST_ITEMS, TimedTable, log_of_tables, signal_columns

@@ -12,8 +12,8 @@ from typing_extensions import override
 
 from ....errors import InputError, one_line
 from ....files import refuse_expansion
-from ...table_file import open_parquet, parquet_numbers, read_parquet_column
-from ...text_reader import Progress
+from ...tables.table_file import open_parquet, parquet_numbers, read_parquet_column
+from ...tables.text_reader import Progress
 from ..log import Log, LogColumn, log_columns
 from .base import LOG_FORMATS, LogFormat
 from .tables import MOST_ITEMS, signal_columns

@@ -19,7 +19,7 @@ from typing_extensions import override
 from ....arrays import Array
 from ....errors import InputError
 from ....files import read_document, read_json, refuse_many_values
-from ...text_reader import Progress
+from ...tables.text_reader import Progress
 from ..foreign_files import is_json
 from ..log import Log, log_columns
 from .base import KNOWN_CONTENT, LOG_FORMATS, LogFormat

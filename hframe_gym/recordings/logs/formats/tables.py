@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ....arrays import Array
 from ...quantities import split_unit
-from ...text_reader import Progress
+from ...tables.text_reader import Progress
 from ..log import Log, LogColumn
 
 MOST_ITEMS = 64  # of a list that is read; longer ones are images, scans and the like, not signals

@@ -9,8 +9,8 @@ from typing import Any
 from numpy.typing import NDArray
 from typing_extensions import override
 
-from ...text_format import detect_format
-from ...text_reader import Progress, read_columns
+from ...tables.text_format import detect_format
+from ...tables.text_reader import Progress, read_columns
 from ..log import Log, log_columns
 from .base import ANY_TEXT, LOG_FORMATS, LogFormat
 

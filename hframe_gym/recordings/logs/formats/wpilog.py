@@ -28,7 +28,7 @@ from ....arrays import Array
 from ....errors import InputError
 from ....files import refuse_many_values
 from ...quantities import is_unit, normalize_unit
-from ...text_reader import Progress
+from ...tables.text_reader import Progress
 from ..log import Log
 from .base import KNOWN_CONTENT, LOG_FORMATS, LogFormat, first_of
 from .tables import MOST_ITEMS, TimedTable, log_of_tables, signal_columns

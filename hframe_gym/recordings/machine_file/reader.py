@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from ..effects import EFFECTS, effect_sites, get_effect
-from ..errors import InputError, suggestion
-from ..machine import (
+from ...effects import EFFECTS, effect_sites, get_effect
+from ...errors import InputError, suggestion
+from ...machine import (
     DRIVE_KINDS,
     SENSED_QUANTITIES,
     SENSOR_KINDS,
@@ -33,8 +33,8 @@ from ..machine import (
     pulley_names,
     rigid_motions,
 )
-from ..registry import Registry
-from .machine_schema import (
+from ...registry import Registry
+from .schema import (
     COMPONENTS,
     EFFECT_FIELDS,
     EffectEntry,

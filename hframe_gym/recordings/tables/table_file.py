@@ -13,10 +13,10 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import Array
-from ..errors import InputError, one_line
-from ..files import refuse_expansion, refuse_many_values
-from ..operating_system import quoted
+from ...arrays import Array
+from ...errors import InputError, one_line
+from ...files import refuse_expansion, refuse_many_values
+from ...operating_system import quoted
 from .text_format import detect_format
 from .text_reader import Progress, read_columns
 

@@ -11,12 +11,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ..errors import InputError, suggestion
-from ..files import write_text
-from ..machine import BUILTIN_MACHINES, METERS, RADIANS, Drive, Machine, Sensor, rest_positions_per_axis
-from .machine_file import machine_to_dict
-from .machine_reader import MachineReader
-from .machine_schema import MachineFile
+from ...errors import InputError, suggestion
+from ...files import write_text
+from ...machine import BUILTIN_MACHINES, METERS, RADIANS, Drive, Machine, Sensor, rest_positions_per_axis
+from .machine_json import machine_to_dict
+from .reader import MachineReader
+from .schema import MachineFile
 
 _QUADRATURE = 4  # edges per line of an encoder
 _LINE = 100  # characters of a line of the file, comments excepted

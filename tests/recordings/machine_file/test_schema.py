@@ -21,7 +21,7 @@ from hframe_gym.recordings import (
 )
 from tools.tables.machine_page import schema_text, with_field_tables
 
-DOCS = Path(__file__).parents[2] / "docs"
+DOCS = Path(__file__).parents[3] / "docs"
 
 
 @pytest.fixture(scope="module")

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, TextIO, cast
 
-from ..errors import InputError
-from ..files import MAX_LINE, refuse_long_line
-from .quantities import is_unit
+from ...errors import InputError
+from ...files import MAX_LINE, refuse_long_line
+from ..quantities import is_unit
 
 _SAMPLE = MAX_LINE  # bytes that determine the format
 _WHITESPACE = " "  # as a separator: one or more blanks

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import Array
-from ..errors import InputError
-from ..files import refuse_expansion, refuse_long_line, refuse_many_values
+from ...arrays import Array
+from ...errors import InputError
+from ...files import refuse_expansion, refuse_long_line, refuse_many_values
 from .text_format import (
     MISSING_WORDS,
     TextFormat,

@@ -15,9 +15,10 @@ import pytest
 
 from hframe_gym.errors import InputError
 from hframe_gym.machine import Machine
-from hframe_gym.recordings import load_recording, read_path, text_reader
-from hframe_gym.recordings.table_file import read_table
-from hframe_gym.recordings.text_format import detect_format
+from hframe_gym.recordings import load_recording, read_path
+from hframe_gym.recordings.tables import text_reader
+from hframe_gym.recordings.tables.table_file import read_table
+from hframe_gym.recordings.tables.text_format import detect_format
 
 WriteRun = Callable[..., Path]
 

@@ -11,11 +11,11 @@ from typing import Any, get_args
 
 from pydantic import ValidationError
 
-from ..errors import InputError, suggestion
-from ..files import read_document, write_text
-from ..machine import BUILTIN_MACHINES, Component, Machine, Number, Plain
-from .machine_reader import MachineReader
-from .machine_schema import (
+from ...errors import InputError, suggestion
+from ...files import read_document, write_text
+from ...machine import BUILTIN_MACHINES, Component, Machine, Number, Plain
+from .reader import MachineReader
+from .schema import (
     COMPONENTS,
     SCHEMA_VERSION,
     MachineFile,
