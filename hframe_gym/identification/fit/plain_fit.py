@@ -32,8 +32,8 @@ from scipy.stats import qmc
 from ...arrays import Array
 from ...effects import EFFECTS
 from ...machine import AppliedEffect, Machine
-from ...preparation.dataset import MIN_ROWS, Dataset, PreparedRecording
-from ...preparation.excerpt import largest_share
+from ...preparation.dataset import Dataset, PreparedRecording
+from ...preparation.excerpt import representative_part
 from ...preparation.motion_windows import MotionWindows, force_equations, leading_motions, motion_windows
 from ...recordings import bridge_blanks, comparison_window
 from ..judge.error import is_better_start
@@ -52,7 +52,6 @@ _SHORTEST_TIME_CONSTANT = 0.1
 # limits, and these then reach from 0.02 % to half of that force.
 _LEAST_FRICTION = 0.01
 _LEAST_RATIO = 1e-3  # of friction to the declared one; a fit in logarithms needs a value above zero
-_LONGEST_MOTION = 120.0  # s, of all runs together that are simulated; more takes long and adds little
 _WIDE_PRIOR = 1.0  # standard deviation of a logarithm; its limits are then a factor of 55
 _GUIDING_BANDWIDTH = 3.0  # rad/s, of an observer that leads an output-error fit to its solution
 _TERM_PRIOR = 10.0  # in typical sizes of a term
@@ -114,7 +113,7 @@ def plain_fit(machine: Machine, data: Dataset) -> PlainFit | None:
     Returns:
         The fit; None if the runs determine no motion, or no machine of this kind can be simulated over them.
     """
-    equal = _excerpt(equally_weighted(data))
+    equal = representative_part(equally_weighted(data), machine)
     offsets: tuple[AppliedEffect, ...] = ()
     if _without_direction(machine):
         points = _fits_from_points(machine, equal)
@@ -184,17 +183,6 @@ def _fits_from_points(machine: Machine, data: Dataset) -> list[Fit]:
     costs = [prediction_cost(start.replace(values_at(free, theta)), data, SIMULATION) for theta in thetas]
     finite = [i for i in np.argsort(costs).tolist() if math.isfinite(costs[i])]
     return [fit(start, free, data, SIMULATION, theta=thetas[i]) for i in finite[:_FITTED_POINTS]]
-
-
-def _excerpt(data: Dataset) -> Dataset:
-    """Return the beginnings of the runs, as long as each run may be for two minutes of motion in all."""
-    durations = [float(run.time_s[-1] - run.time_s[0]) for run in data.runs]
-    if sum(durations) <= _LONGEST_MOTION:
-        return data
-    longest = largest_share(durations, _LONGEST_MOTION)
-    rows = [int(np.searchsorted(run.time_s - run.time_s[0], longest)) for run in data.runs]
-    runs = tuple(run.first_rows(max(count, MIN_ROWS)) for run, count in zip(data.runs, rows, strict=True))
-    return dataclasses.replace(data, runs=runs)
 
 
 def _output_error_fits(machine: Machine, free: Sequence[FreeParameter], data: Dataset) -> list[Fit]:

@@ -14,7 +14,6 @@ from hframe_gym.identification import SelectionCriteria, identify, prepare
 from hframe_gym.identification.budget import Budget
 from hframe_gym.identification.fit.estimation import prediction_cost
 from hframe_gym.identification.fit.plain_fit import (
-    _excerpt,
     better_start,
     equally_weighted,
     outside_limits,
@@ -196,9 +195,19 @@ def test_a_description_ends_where_the_voltages_change_between_rows() -> None:
     assert any("reduces chi-squared" in line for line in lines)  # an effect passed before
 
 
-def test_long_runs_are_simulated_in_part() -> None:
+def test_long_runs_whose_motion_begins_late_are_fitted() -> None:
+    """Two runs at 50 Hz of two and a half minutes, with half a minute of motion at the end, are fitted whole."""
     true = axis(TRUE)
-    long, short = measure(true, runs=1, seconds=200.0)[0], measure(true, runs=1, seconds=4.0)[0]
-    data = _excerpt(prepare([long, dataclasses.replace(short, name="run_02")], axis(TRUE)))
-    durations = [run.time_s[-1] - run.time_s[0] for run in data.runs]
-    assert durations == pytest.approx([116.0, 4.0], abs=0.01)
+    time_s = 0.02 * np.arange(7500)
+    runs = []
+    for seed in range(2):
+        rng = np.random.default_rng(seed)
+        volts = np.repeat(rng.uniform(-6.0, 6.0, 75), 100)[:, None] * (time_s > 120.0)[:, None]
+        motion = true.simulate(time_s, volts)
+        outputs = motion.outputs + NOISE * rng.normal(size=motion.outputs.shape)
+        runs.append(Recording(f"run_{seed}", time_s, volts, outputs))
+    declared = axis({"x.mass": 0.3, "x.coulomb": 0.5})
+    plain = plain_fit(declared, prepare(runs, declared))
+    assert plain is not None
+    assert plain.simulated.count == 2 * len(time_s)
+    assert plain.machine.parameters["x.mass"] == pytest.approx(TRUE["x.mass"], rel=0.05)
