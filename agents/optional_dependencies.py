@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from ..errors import naming_extra
+
 EXTRA_MODULES = ("torch", "stable_baselines3", "safetensors.torch", "tensorboard")
 CONTRIB_ALGORITHMS = ("tqc", "crossq")  # of sb3-contrib, which the other algorithms do not need
 
@@ -17,11 +19,8 @@ def import_optional(module: str) -> Any:
     Raises:
         ImportError: If the module is not installed; the message names the pip command.
     """
-    try:
+    with naming_extra("agents", f"learned controllers need {module.partition('.')[0]}"):
         return importlib.import_module(module)
-    except ImportError as error:
-        package = module.partition(".")[0]
-        raise ImportError(f"learned controllers need {package}: pip install 'hframe_gym[agents]'") from error
 
 
 def require_training_packages(kind: str) -> None:

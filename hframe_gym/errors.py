@@ -1,11 +1,12 @@
-"""Messages to the user: the exception for invalid files and arguments, and warnings about several runs."""
+"""Messages to the user: the exception for invalid input, missing extras, and warnings about several runs."""
 
 from __future__ import annotations
 
 import difflib
 import math
 import numbers
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 
 
 class InputError(ValueError):
@@ -14,6 +15,23 @@ class InputError(ValueError):
     The message is one line that names the file, the row, column or field, and what to do. Commands print it and exit
     with code 2.
     """
+
+
+@contextmanager
+def naming_extra(extra: str, need: str) -> Iterator[None]:
+    """Let the imports of a `with` block, where a package is missing, name the extra that installs it.
+
+    Args:
+        extra: Name of the extra in pyproject.toml, for example "render".
+        need: What needs which package, for example "rendering needs pygame".
+
+    Raises:
+        ImportError: If a package is missing; the message is the need and the command that installs the extra.
+    """
+    try:
+        yield
+    except ImportError as error:
+        raise ImportError(f"{need}: pip install 'hframe_gym[{extra}]'") from error
 
 
 _LONGEST_REASON = 300  # characters; those of other libraries may hold a whole file or definition

@@ -152,8 +152,10 @@ def test_hints_name_extras_that_exist_and_are_spelled_alike() -> None:
 
 
 def _hints(file: Path) -> list[tuple[Path, str]]:
-    """Return the names with an extra, such as hframe_gym[agents], in a file."""
-    return [(file, hint) for hint in re.findall(r"hframe[_-]gym\[[a-z,]+\]", file.read_text("utf-8"))]
+    """Return the names with an extra, such as hframe_gym[agents], that a file states or lets `naming_extra` state."""
+    text = file.read_text("utf-8")
+    named = [f"hframe_gym[{extra}]" for extra in re.findall(r"naming_extra\(\"([a-z]+)\"", text)]
+    return [(file, hint) for hint in [*named, *re.findall(r"hframe[_-]gym\[[a-z,]+\]", text)]]
 
 
 def test_setup_lists_every_package(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,11 +12,10 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs
 
-from ..errors import InputError
+from ..errors import InputError, naming_extra
 from .session import Session
 
 HOST = "127.0.0.1"
-MISSING_EXTRA = "the window needs more packages: pip install 'hframe_gym[app]'"
 COOKIE = "hframe_token"
 # Nothing of the page comes from another address than the server's, and no other page may show it in a frame.
 _POLICY = (
@@ -101,13 +100,11 @@ def serve(folder: Path, port: int, *, open_browser: bool, log: Callable[[str], N
     session = Session(folder.resolve())
     # The library would otherwise make a folder in the current one.
     os.environ.setdefault("NICEGUI_STORAGE_PATH", str(session.path(".window")))
-    try:
+    with naming_extra("app", "the window needs more packages"):
         import uvicorn
         from fastapi import FastAPI
         from nicegui import ui
         from starlette.staticfiles import StaticFiles
-    except ImportError:
-        raise ImportError(MISSING_EXTRA) from None
     from .window import Window
 
     session.create()

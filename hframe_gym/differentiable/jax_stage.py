@@ -14,14 +14,12 @@ from typing_extensions import override
 
 from ..arrays import Array
 from ..dynamics import Motions
-from ..errors import InputError
+from ..errors import InputError, naming_extra
 from .stage import Stage
 
-try:
+with naming_extra("jax", "differentiable stages for JAX need jax"):
     import jax
     import jax.numpy as jnp
-except ImportError as error:
-    raise ImportError("differentiable stages for JAX need jax: pip install 'hframe_gym[jax]'") from error
 
 
 class JaxStage(Stage[Any]):

@@ -8,13 +8,11 @@ from typing import Any
 from typing_extensions import override
 
 from ..arrays import Array
-from ..errors import InputError
+from ..errors import InputError, naming_extra
 from .stage import Stage
 
-try:
+with naming_extra("agents", "differentiable stages need torch"):
     import torch
-except ImportError as error:
-    raise ImportError("differentiable stages need torch: pip install 'hframe_gym[agents]'") from error
 
 Tensor = torch.Tensor
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
+from ..errors import InputError, naming_extra
 from ..machine import Box, Machine, Point, drawn_point, stage_geometry
 
 if TYPE_CHECKING:
@@ -120,10 +120,8 @@ def tension_color(tension: float | None) -> Color:
 
 def _load_pygame() -> Any:
     """Import pygame; raises ImportError with the extra that installs it."""
-    try:
+    with naming_extra("render", "rendering needs pygame"):
         import pygame
-    except ImportError as error:
-        raise ImportError("rendering needs pygame: pip install 'hframe_gym[render]'") from error
     return pygame
 
 

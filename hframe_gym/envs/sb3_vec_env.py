@@ -15,14 +15,12 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from typing_extensions import override
 
-from ..errors import InputError, is_integer
+from ..errors import InputError, is_integer, naming_extra
 from .config import EnvOptions, check_keywords
 from .vector_env import HFrameVectorEnv
 
-try:
+with naming_extra("agents", "this adapter needs stable-baselines3"):
     from stable_baselines3.common.vec_env import VecEnv
-except ImportError as error:
-    raise ImportError("this adapter needs stable-baselines3: pip install 'hframe_gym[agents]'") from error
 
 Indices = None | int | Iterable[int]
 

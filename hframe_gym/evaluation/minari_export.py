@@ -25,7 +25,7 @@ from ..arrays import Actions, KeyedObservation, Mask
 from ..controllers import Controller
 from ..dynamics import NotFiniteError
 from ..envs import HFrameVectorEnv, as_task
-from ..errors import InputError
+from ..errors import InputError, naming_extra
 from ..files import atomic_file, output_batch, scratch_folder
 from ..machine import BUILTIN_MACHINES, Machine
 from ..recordings import machine_to_dict, save_machine
@@ -205,12 +205,10 @@ def _mean_return(controller: Controller, spec: EnvSpec, scenario: Scenario, buff
 
 def _import_minari() -> tuple[Any, Any]:
     """Return Minari's classes MinariStorage and EpisodeBuffer; raise ImportError with the pip command."""
-    try:
+    with naming_extra("minari", "data sets need minari and h5py"):
         importlib.import_module("h5py")
         storage = importlib.import_module("minari.dataset.minari_storage")
         buffer = importlib.import_module("minari.data_collector")
-    except ImportError as error:
-        raise ImportError("data sets need minari and h5py: pip install 'hframe_gym[minari]'") from error
     return storage.MinariStorage, buffer.EpisodeBuffer
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import naming_extra
 from ..files import atomic_file
 from ..machine import AxisUnit
 from ..web_page import SERIES, Panel, color, legend_above, number, plot_style
@@ -28,11 +29,9 @@ def plot_episode(episodes: Episodes, episode: int = 0, *, title: str = "") -> An
         ImportError: If matplotlib is not installed; the message names the extra.
         IndexError: If `episode` is out of range.
     """
-    try:
+    with naming_extra("report", "plots need matplotlib"):
         import matplotlib
         from matplotlib.figure import Figure
-    except ImportError as error:
-        raise ImportError("plots need matplotlib: pip install 'hframe_gym[report]'") from error
     if not 0 <= episode < len(episodes.position):
         raise IndexError(f"episode {episode} of {len(episodes.position)}")
     with matplotlib.rc_context(plot_style()):

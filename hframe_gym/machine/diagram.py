@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ..errors import naming_extra
 from .axis_unit import ARM, DEFAULT_TURNS, RADIANS
 from .components import Row
 from .machine import Machine
@@ -33,10 +34,8 @@ def draw_machine(machine: Machine) -> Any:
     Raises:
         ImportError: If matplotlib is missing; the message says how to install it.
     """
-    try:
+    with naming_extra("report", "the drawing needs matplotlib"):
         from matplotlib.figure import Figure
-    except ImportError:
-        raise ImportError("the drawing needs matplotlib: pip install 'hframe_gym[report]'") from None
     rows = len(machine.belts) + len(machine.drives) + len(machine.sensors)
     table_width = 1.6 + _CELL_WIDTH * len(machine.coordinates)
     height = max(4.8, 1.4 + _CELL_HEIGHT * rows)

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from ..errors import InputError
+from ..errors import InputError, naming_extra
 from .worker import ATTEMPTS, own_version, run_task, task_settings
 
 LOCAL_RAY = "local"  # address that starts Ray on this machine
@@ -26,10 +26,8 @@ def ray_workers(address: str, cores: int) -> Iterator[Callable[..., Any]]:
     # Ray then sends no usage statistics, and prints the workers' lines as they are.
     for variable in ("RAY_USAGE_STATS_ENABLED", "RAY_DEDUP_LOGS", "RAY_COLOR_PREFIX"):
         os.environ.setdefault(variable, "0")
-    try:
+    with naming_extra("ray", "--ray needs Ray"):
         import ray
-    except ImportError as error:
-        raise ImportError("--ray needs Ray: pip install 'hframe_gym[ray]'") from error
     connected = not ray.is_initialized()
     if connected:
         _connect(ray, address, cores)

@@ -15,9 +15,10 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from ..errors import naming_extra
 from ..files import atomic_file, write_text
 
-MISSING_EXTRA = "reports need more packages: pip install 'hframe_gym[report]'"
+_NEED = "reports need more packages"
 PANEL_WIDTH = 3.6  # in; 346 px, so that text keeps its size on a phone
 TITLE_CHARACTERS = 44  # of a line of a title in a picture file, as many as a panel is wide
 MAX_COLUMNS = 3  # panels beside each other in a picture file
@@ -86,10 +87,8 @@ def plot_style() -> Any:  # matplotlib's type lists the names of all settings
     Raises:
         ImportError: If matplotlib is missing; the message says how to install it.
     """
-    try:
+    with naming_extra("report", _NEED):
         from cycler import cycler
-    except ImportError:
-        raise ImportError(MISSING_EXTRA) from None
     ink, muted, line = color("ink"), color("muted"), color("line")
     return {
         "font.size": 9,
@@ -132,12 +131,10 @@ def panel_svg(panel: Panel, prefix: str) -> str:
     """
     from io import StringIO
 
-    try:
+    with naming_extra("report", _NEED):
         import matplotlib
         from markupsafe import escape
         from matplotlib.figure import Figure
-    except ImportError:
-        raise ImportError(MISSING_EXTRA) from None
     with matplotlib.rc_context(plot_style() | {"svg.hashsalt": prefix}):
         figure = Figure(figsize=(PANEL_WIDTH, panel.height), layout="constrained")
         panel.draw(figure.subplots())
@@ -170,11 +167,9 @@ def save_panels(panels: Sequence[Panel], path: Path) -> None:
         ImportError: If matplotlib is missing; the message says how to install it.
         OSError: If the file cannot be written.
     """
-    try:
+    with naming_extra("report", _NEED):
         import matplotlib
         from matplotlib.figure import Figure
-    except ImportError:
-        raise ImportError(MISSING_EXTRA) from None
     columns = min(MAX_COLUMNS, len(panels))
     rows = math.ceil(len(panels) / columns)
     with matplotlib.rc_context(plot_style()):
@@ -224,12 +219,10 @@ def write_page(path: Path, package: str, template: str, values: Mapping[str, Any
         ImportError: If Jinja or matplotlib is missing; the message says how to install them.
         OSError: If the file cannot be written.
     """
-    try:
+    with naming_extra("report", _NEED):
         from markupsafe import Markup
 
         templates = _templates(package)
-    except ImportError:
-        raise ImportError(MISSING_EXTRA) from None
     count = 0
 
     def svg(panel: Panel) -> Markup:

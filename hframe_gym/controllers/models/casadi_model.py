@@ -11,13 +11,11 @@ from typing import Any
 
 from ...dynamics import Equations, MotionPoint
 from ...dynamics.elementwise import tanh
-from ...errors import InputError
+from ...errors import InputError, naming_extra
 from ...machine import AppliedEffect, Hook, Machine, argument_names
 
-try:
+with naming_extra("bound", "time-optimal motions need CasADi"):
     import casadi as ca
-except ImportError as error:
-    raise ImportError("time-optimal motions need CasADi: pip install 'hframe_gym[bound]'") from error
 
 # Hooks of an effect that enter the collocation equations, and CasADi's operations that switch between branches.
 MOTION_HOOKS = (

@@ -27,15 +27,14 @@ from typing_extensions import override
 
 from ...arrays import Array
 from ...dynamics import Equations
+from ...errors import naming_extra
 from ...machine import Machine, rest_positions_per_axis
 from ..models.casadi_model import SymbolicModel, check_supported, voltage_limits
 from ..models.input_compensation import InputInversion
 from ..models.motion_model import axis_travel_per_unit
 
-try:
+with naming_extra("bound", "time-optimal motions need CasADi"):
     import casadi as ca
-except ImportError as error:
-    raise ImportError("time-optimal motions need CasADi: pip install 'hframe_gym[bound]'") from error
 
 HOLD_S = 0.04  # s, in which the tool comes to rest within the band; twice as long changes T by less than 1 us
 DEGREE = 2  # Radau points per interval: third order, and L-stable, which steep friction needs

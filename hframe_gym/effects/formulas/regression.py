@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from ...arrays import Array
+from ...errors import naming_extra
 from .terms import Term
 
 # Points between two knots where a formula is compared with the straight pieces of the table.
@@ -343,8 +344,6 @@ class _Search:
 
 def _import_orthogonal_mp() -> Any:
     """Return scikit-learn's orthogonal matching pursuit."""
-    try:
+    with naming_extra("formulas", "formulas need scikit-learn"):
         from sklearn.linear_model import orthogonal_mp
-    except ImportError:
-        raise ImportError("formulas need scikit-learn: pip install 'hframe_gym[formulas]'") from None
     return orthogonal_mp
