@@ -126,7 +126,7 @@ def residue_force(fitted: Fit, data: Dataset) -> float:
     return _observed_force(fitted.machine, data, bandwidth, lambda run: run.noise)
 
 
-def lacking_force(machine: Machine, data: Dataset) -> float:
+def lacking_force(machine: Machine, data: Dataset) -> float | None:
     """Return the root mean square force that a machine lacks during recordings, relative to the force of the drives.
 
     It is the force of `residue_force` for the widest observer, which tolerates any error of the machine. Only the noise
@@ -137,8 +137,11 @@ def lacking_force(machine: Machine, data: Dataset) -> float:
         data: Runs, for example held-out ones.
 
     Returns:
-        Ratio of root mean squares, dimensionless; infinite if no voltage is applied or the machine diverges.
+        Ratio of root mean squares, dimensionless; infinite if no voltage is applied or the machine diverges; None if no
+        sensor shows the direction of a motion, so that no observer can correct a prediction.
     """
+    if not any(sensor.has_direction for sensor in machine.sensors):
+        return None
     force = _observed_force(
         machine, data, SEARCH_BANDWIDTH, lambda run: np.broadcast_to(data.noise, run.noise.shape)
     )

@@ -13,6 +13,7 @@ from hframe_gym.errors import InputError
 from hframe_gym.identification import SelectionCriteria, identify, prepare
 from hframe_gym.identification.budget import Budget
 from hframe_gym.identification.fit.estimation import prediction_cost
+from hframe_gym.identification.fit.force_sizes import lacking_force
 from hframe_gym.identification.fit.plain_fit import (
     better_start,
     equally_weighted,
@@ -98,6 +99,7 @@ def test_a_speed_without_sign_is_fitted_from_many_points() -> None:
     assert plain.start.parameters["x.coulomb"] == pytest.approx(TRUE["x.coulomb"], rel=0.05)
     assert plain.start.parameters["x.mass"] == pytest.approx(TRUE["x.mass"], rel=0.05)
     assert better_start(declared, data, plain) is plain.start
+    assert lacking_force(declared, data) is None  # no observer follows such a sensor
 
 
 def test_runs_without_motion_have_no_plain_fit() -> None:
