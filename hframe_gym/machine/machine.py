@@ -190,6 +190,11 @@ class Machine:
         """Whether each sensor measures positions, shape (sensors,)."""
         return np.array([s.of_position for s in self.sensors], np.bool_)
 
+    @property
+    def shows_direction(self) -> bool:
+        """Whether a sensor shows the direction of a motion, as a counter of pulses does not."""
+        return any(sensor.has_direction for sensor in self.sensors)
+
     def sensor_unit(self, sensor: Sensor) -> str:
         """Return the unit of a sensor's measurements: that of its quantity at the coordinate which it mainly measures.
 

@@ -140,7 +140,7 @@ def lacking_force(machine: Machine, data: Dataset) -> float | None:
         Ratio of root mean squares, dimensionless; infinite if no voltage is applied or the machine diverges; None if no
         sensor shows the direction of a motion, so that no observer can correct a prediction.
     """
-    if not any(sensor.has_direction for sensor in machine.sensors):
+    if not machine.shows_direction:
         return None
     force = _observed_force(
         machine, data, SEARCH_BANDWIDTH, lambda run: np.broadcast_to(data.noise, run.noise.shape)

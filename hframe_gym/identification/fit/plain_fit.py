@@ -115,7 +115,7 @@ def plain_fit(machine: Machine, data: Dataset) -> PlainFit | None:
     """
     equal = representative_part(equally_weighted(data), machine)
     offsets: tuple[AppliedEffect, ...] = ()
-    if _without_direction(machine):
+    if not machine.shows_direction:
         points = _fits_from_points(machine, equal)
         if not points:
             return None
@@ -155,11 +155,6 @@ def plain_fit(machine: Machine, data: Dataset) -> PlainFit | None:
             best = trial
             fits.append(best)
     return PlainFit(start, tuple(fits))
-
-
-def _without_direction(machine: Machine) -> bool:
-    """Return whether no sensor shows the direction of a motion, so that only simulations are fitted."""
-    return not any(sensor.has_direction for sensor in machine.sensors)
 
 
 def _fits_from_points(machine: Machine, data: Dataset) -> list[Fit]:
@@ -421,7 +416,7 @@ def better_start(machine: Machine, data: Dataset, plain: PlainFit | None) -> Mac
     Returns:
         `machine` or `plain.start`.
     """
-    many_minima = _without_direction(machine)
+    many_minima = not machine.shows_direction
     if plain is None or not (many_minima or outside_limits(machine, plain.start)):
         return machine
     refits = [fit(m, default_free_parameters(m), data, SEARCH_BANDWIDTH) for m in (machine, plain.start)]

@@ -16,6 +16,10 @@ from ..fit.parameter_diagnostics import sum_text
 from ..judge.criteria import SelectionCriteria
 from .saved_result import SavedResult, next_command
 
+_NO_DIRECTION = (
+    "Add a sensor that shows the direction of the motion, such as an encoder with two channels: without one, the force "
+    "that the model lacks is not seen. Then record the runs again and identify with them."
+)
 _NO_EXPERIMENT = {  # by kind of cause that explains as much as an effect
     "rivals": "No experiment is proposed: no tested run within rated voltages and travel reliably distinguishes",
     "equivalent": "No recording can distinguish",
@@ -78,10 +82,11 @@ def next_steps(
     if report["proposed_formulas"]:
         text = "A formula is proposed in place of the table; review it and write it as an effect."
         steps.append(_step(text, f"hframe effects new NAME --from {folder}"))
+    measurements = [*_declarations(report), *_measurements(report)]
     if report["verdict"] == "unexplained":
-        return [*_continued(saved, folder), *steps, *_measurements(report), *findings]
+        return [*_continued(saved, folder), *steps, *measurements, *findings]
     control = _control(report["verdict"], machine, folder, bool(effects))
-    return [*steps, control, *_continued(saved, folder), *_measurements(report), *findings]
+    return [*steps, control, *_continued(saved, folder), *measurements, *findings]
 
 
 def _step(text: str, command: str = "") -> dict[str, str]:
@@ -98,6 +103,8 @@ def _recordings(
         why, file = report["next_experiment"]["why"], report["next_experiment"]["file"]
         text = f"{why} Apply the voltages of {folder / file}, record the run, and identify again with it."
         return [_step(text, _again(saved, folder))]
+    if report["verdict"] == "unexplained" and not saved.machine.shows_direction:
+        return [_step(_NO_DIRECTION, _again(saved, folder))]
     if report["verdict"] == "unexplained":
         text = (
             "Look for a physical cause of the dependence in the section Residual force. Record runs that isolate it: "
@@ -126,6 +133,15 @@ def _isolating(report: Mapping[str, Any]) -> str:
         if quantity in _MOTIONS:
             return _MOTIONS[quantity].format(name or "the machine")
     return "move slowly and fast, one axis at a time, over the full travel"
+
+
+def _declarations(report: Mapping[str, Any]) -> list[dict[str, str]]:
+    """Return the step that declares friction which the machine file does not have."""
+    values = [
+        f"{friction['parameter']} {number(friction['value'])} {friction['unit']}"
+        for friction in report.get("undeclared_friction", ())
+    ]
+    return [_step(f"Declare the friction in declared.json: {', '.join(values)}.")] if values else []
 
 
 def _measurements(report: Mapping[str, Any]) -> list[dict[str, str]]:

@@ -355,6 +355,21 @@ def test_the_run_to_record_follows_from_the_dependence(
     assert step["command"].startswith("hframe identify RUNS --machine")
 
 
+def test_a_counter_of_pulses_is_replaced_and_undeclared_friction_declared(
+    data: Dataset, tmp_path: Path
+) -> None:
+    write_result(result_of(data, "unexplained", AXIS), tmp_path)
+    saved = load_result(tmp_path)
+    counter = dataclasses.replace(AXIS.sensors[0], channel="x_m_s", kind="unsigned-speed")
+    saved = dataclasses.replace(saved, machine=AXIS.replace(sensors=(counter,)))
+    saved.report["undeclared_friction"] = [
+        {"parameter": "x.coulomb", "value": 3.0, "std": None, "unit": "N", "percent_of_drives": None}
+    ]
+    sensor, friction = next_steps(saved, tmp_path, (), ["run_2"])
+    assert "Add a sensor that shows the direction" in sensor["text"]
+    assert friction["text"] == "Declare the friction in declared.json: x.coulomb 3 N."
+
+
 def test_the_steps_name_what_to_measure_and_a_controller_with_its_period(
     data: Dataset, tmp_path: Path
 ) -> None:
