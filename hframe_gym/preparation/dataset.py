@@ -156,6 +156,9 @@ class Dataset:
             shape (sensors,). None: all have one.
         updates_rejected: Numbers of voltage changes a row that earlier searches assumed and found wrong, each with the
             number of effects that were known when it was.
+        means_are_zeros: Whether a fit takes the mean error over a run of a sensor without quantization that measured at
+            rest for an error of the initial position. Not in simulations of complete runs: an error of the machine has
+            a mean there.
     """
 
     runs: tuple[PreparedRecording, ...]
@@ -166,6 +169,7 @@ class Dataset:
     jitter: float = 0.0
     has_zero: NDArray[np.bool_] | None = None
     updates_rejected: Mapping[int, int] = field(default_factory=dict)
+    means_are_zeros: bool = True
 
     @property
     def count(self) -> float:

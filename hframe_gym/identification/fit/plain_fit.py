@@ -199,8 +199,8 @@ def equally_weighted(data: Dataset) -> Dataset:
         data: Runs to fit.
 
     Returns:
-        Copy in which the cost of a simulation is the sum of its squared errors, in units of each sensor's noise. Its
-        runs have equal weights and noise, m or rad, shape (n, sensors).
+        Copy in which the cost of a simulation is the sum of its squared errors, in units of each sensor's noise, as in
+        an evaluation. Its runs have equal weights and noise, m or rad, shape (n, sensors).
     """
     runs = (
         dataclasses.replace(
@@ -210,7 +210,7 @@ def equally_weighted(data: Dataset) -> Dataset:
         )
         for run in data.runs
     )
-    return dataclasses.replace(data, runs=tuple(runs))
+    return dataclasses.replace(data, runs=tuple(runs), means_are_zeros=False)
 
 
 def refined_equally(fitted: Fit, data: Dataset) -> Fit:

@@ -345,7 +345,9 @@ def prediction_error(
     error: Array = run.outputs - measurements
     error[:, ~measured] = 0.0
     max_mean = (
-        max_fitted_zero_means(data.behind_belts, data.quantum, run.initial.measured_at_rest)
+        max_fitted_zero_means(
+            data.behind_belts, data.quantum, run.initial.measured_at_rest & data.means_are_zeros
+        )
         if fitted
         else max_zero_means(data.behind_belts, data.quantum)
     )

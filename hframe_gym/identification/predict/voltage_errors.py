@@ -267,7 +267,9 @@ class InterpolationErrors(VoltageErrors):
         of the zeros have constant innovations, of all sensors; those that were not measured are 0.
         """
         run, data = self._run, self._data
-        limits = max_fitted_zero_means(data.behind_belts, data.quantum, run.initial.measured_at_rest)
+        limits = max_fitted_zero_means(
+            data.behind_belts, data.quantum, run.initial.measured_at_rest & data.means_are_zeros
+        )
         scales = np.sqrt(run.weights) / run.noise
         free = np.flatnonzero(np.isinf(limits) & (run.weights.sum(axis=0) > 0.0))
         responses = np.zeros((len(free), *scales.shape))

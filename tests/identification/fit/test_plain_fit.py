@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -20,6 +21,7 @@ from hframe_gym.identification.fit.plain_fit import (
     outside_limits,
     plain_fit,
 )
+from hframe_gym.identification.predict.prediction import SIMULATION
 from hframe_gym.identification.validate.simpler_machines import descriptions
 from hframe_gym.machine import BUILTIN_MACHINES, Machine, Sensor
 from hframe_gym.recordings import Recording
@@ -195,6 +197,20 @@ def test_a_description_ends_where_the_voltages_change_between_rows() -> None:
     lines: list[str] = []
     assert not list(descriptions(plain.simulated, data, SelectionCriteria(), lines.append, Budget()))
     assert any("reduces chi-squared" in line for line in lines)  # an effect passed before
+
+
+def test_the_cost_of_a_simulation_is_the_error_of_an_evaluation() -> None:
+    """Commanded from its first row on, a carriage without the declared friction drifts away from the simulation."""
+    true, declared = axis(TRUE), axis(TRUE).replace({"x.coulomb": 1e-3})
+    time_s, volts = 2e-3 * np.arange(2000), 4.0 * np.sign(np.sin(np.arange(2000) / 150.0 + 0.1))[:, None]
+    outputs = true.simulate(time_s, volts).outputs + NOISE * np.random.default_rng(0).normal(size=(2000, 1))
+    data = prepare([Recording("run_01", time_s, volts, outputs)], declared)
+    error = declared.simulate(time_s, volts).outputs - outputs
+    expected = math.sqrt(float(np.mean(error**2))) / float(data.noise[0])
+    equal = equally_weighted(data)
+    assert math.sqrt(prediction_cost(declared, equal, SIMULATION) / equal.count) == pytest.approx(
+        expected, rel=0.01
+    )
 
 
 def test_long_runs_whose_motion_begins_late_are_fitted() -> None:
