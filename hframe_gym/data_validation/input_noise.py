@@ -7,13 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..machine import Machine
-from ..preparation.input_noise import is_noisy, noise_of_input
+from ..preparation.input_noise import noise_of_input
+from ..preparation.input_noise import noisy_inputs as inputs_with_noise
 from ..recordings import Recording
 from .findings import Finding, channel_unit
 
 
 def noisy_inputs(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
-    """Report inputs that change from row to row like noise, where the input is a current, a torque or a force.
+    """Report inputs that change from row to row like noise, where the input is a current or a torque.
 
     Voltages are commands as a rule, and a command may be random by intention.
 
@@ -26,18 +27,18 @@ def noisy_inputs(recordings: Sequence[Recording], machine: Machine) -> list[Find
     """
     findings = []
     for recording in recordings:
-        for channel, values in zip(machine.input_channels, recording.inputs.T, strict=True):
-            if is_noisy(channel, values):
-                unit, noise = channel_unit(channel, machine), noise_of_input(values)
-                size = float(np.sqrt(np.mean(values**2)))
-                findings.append(
-                    Finding(
-                        "advice",
-                        recording.name,
-                        channel,
-                        f"changes from row to row like noise of {noise:.2g} {unit}, {100 * noise / size:.2g} % of its "
-                        "size. If it was measured, the real drive did not follow this noise, but a simulated one does; "
-                        "it is therefore averaged over 17 ms. Record the command instead if that is possible",
-                    )
+        for j in inputs_with_noise(recording, machine):
+            channel, values = machine.input_channels[j], recording.inputs[:, j]
+            unit, noise = channel_unit(channel, machine), noise_of_input(values)
+            size = float(np.sqrt(np.mean(values**2)))
+            findings.append(
+                Finding(
+                    "advice",
+                    recording.name,
+                    channel,
+                    f"changes from row to row like noise of {noise:.2g} {unit}, {100 * noise / size:.2g} % of its "
+                    "size. If it was measured, the real drive did not follow this noise, but a simulated one does; "
+                    "it is therefore averaged over 17 ms. Record the command instead if that is possible",
                 )
+            )
     return findings

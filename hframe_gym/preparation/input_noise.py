@@ -2,6 +2,9 @@
 
 Noise alone moves little, but dry friction rectifies it: a simulated machine whose friction the noise overcomes for
 moments creeps where the real one stands, and a fit then finds too little friction. Inputs of this kind are averaged.
+
+The command of a position controller changes as fast, because it differentiates the rounding of an encoder. The real
+drive follows it, so it must stay as it is. It is recognized by the measurements that it answers.
 """
 
 from __future__ import annotations
@@ -23,6 +26,11 @@ MUCH_NOISE = 0.05
 SMOOTHING_TIME = 1.0 / 60.0
 # The median of |u[k+1] - 2 u[k] + u[k-1]| of white noise is this multiple of its standard deviation.
 _MEDIAN_SECOND_DIFFERENCE = 0.6745 * np.sqrt(6.0)
+# Measurements that a controller combines: the present one and those of the four rows before.
+_ANSWERED_ROWS = 5
+# Fraction of an input's fast changes that measurements must explain. A measured current of a motor has 0.001, the
+# commands of a simulated servo with an encoder and a limit of the current 0.89 to 0.98.
+_ANSWERED = 0.5
 # Ends of the names of inputs that may be measured; voltages are commands as a rule.
 _FORCE_UNITS = ("A", "Nm")
 
@@ -44,18 +52,53 @@ def noise_of_input(values: Array) -> float:
     )
 
 
-def is_noisy(channel: str, values: Array) -> bool:
-    """Return whether an input is a current or a torque, and changes like noise.
+def answers_measurements(values: Array, outputs: Array) -> bool:
+    """Return whether an input is the answer of a controller to the measurements of its row and the rows before.
+
+    The noise of a current sensor does not depend on the errors of other sensors. What a controller commands does.
 
     Args:
-        channel: Name of the input, which ends with its unit.
         values: Input, shape (n,).
+        outputs: Measurements, shape (n, sensors); NaN where there is none.
 
     Returns:
-        True if its noise is above 5 % of its root mean square.
+        True if a linear combination of the measurements has at least half of the input's second differences (mean
+        square).
     """
-    size = float(np.sqrt(np.mean(np.square(values)))) if len(values) else 0.0
-    return channel.rpartition("_")[2] in _FORCE_UNITS and noise_of_input(values) > MUCH_NOISE * size > 0.0
+    measured = outputs[:, np.isfinite(outputs).mean(axis=0) > 0.5]  # others would leave too few rows
+    changes, answered = np.diff(values, 2), np.diff(measured, 2, axis=0)
+    rows = len(changes) - _ANSWERED_ROWS + 1
+    if rows < 1 or not measured.shape[1]:
+        return False
+    causes = np.hstack([answered[_ANSWERED_ROWS - 1 - k :][:rows] for k in range(_ANSWERED_ROWS)])
+    changes = changes[_ANSWERED_ROWS - 1 :]
+    complete = np.isfinite(causes).all(axis=1)
+    causes, changes = causes[complete], changes[complete]
+    if len(changes) < 10 * causes.shape[1]:  # a combination of fewer would explain noise
+        return False
+    causes = causes / np.maximum(np.abs(causes).max(axis=0), np.finfo(float).tiny)  # sensors have different units
+    combination = causes @ np.linalg.lstsq(causes, changes)[0]
+    return bool(np.sum((changes - combination) ** 2) < (1.0 - _ANSWERED) * np.sum(changes**2))
+
+
+def noisy_inputs(recording: Recording, machine: Machine) -> list[int]:
+    """Return which inputs were measured with much noise: currents and torques that change like noise of their own.
+
+    Args:
+        recording: Run (times, s; inputs in the units of the drives' channels).
+        machine: Machine with its input channels.
+
+    Returns:
+        Indices of the inputs whose noise is above 5 % of their root mean square and answers no measurement.
+    """
+    found = []
+    for j, (channel, values) in enumerate(zip(machine.input_channels, recording.inputs.T, strict=True)):
+        size = float(np.sqrt(np.mean(np.square(values)))) if len(values) else 0.0
+        measurable = channel.rpartition("_")[2] in _FORCE_UNITS
+        if measurable and noise_of_input(values) > MUCH_NOISE * size > 0.0:
+            if not answers_measurements(values, recording.outputs):
+                found.append(j)
+    return found
 
 
 def without_input_noise(
@@ -70,15 +113,15 @@ def without_input_noise(
     Returns:
         Copy with averaged inputs, shape (n, drives); the same object if none is noisy.
     """
-    noisy = [is_noisy(c, u) for c, u in zip(machine.input_channels, recording.inputs.T, strict=True)]
+    noisy = noisy_inputs(recording, machine)
     period = float(np.median(np.diff(recording.time_s))) if len(recording.time_s) > 1 else np.inf
     half = round(SMOOTHING_TIME / period / 2) if period > 0.0 else 0
-    if not any(noisy) or half < 1:
+    if not noisy or half < 1:
         return recording
     inputs = recording.inputs.copy()
     kernel = np.ones(2 * half + 1)
     counts = np.convolve(np.ones(len(inputs)), kernel, "same")
-    for j in np.flatnonzero(noisy):
+    for j in noisy:
         size = float(np.sqrt(np.mean(inputs[:, j] ** 2)))
         if log is not None:
             percent = 100 * noise_of_input(inputs[:, j]) / size

@@ -19,8 +19,9 @@ def machine_with(channel: str) -> Machine:
     return axis.replace(drives=(dataclasses.replace(axis.drives[0], channel=channel),))
 
 
-def found(channel: str, values: np.ndarray) -> list[str]:
-    recording = Recording("run", TIME, values[:, None], np.zeros((len(TIME), 1)))
+def found(channel: str, values: np.ndarray, measured: np.ndarray | None = None) -> list[str]:
+    outputs = np.zeros(len(TIME)) if measured is None else measured
+    recording = Recording("run", TIME, values[:, None], outputs[:, None])
     return [finding.message for finding in noisy_inputs([recording], machine_with(channel))]
 
 
@@ -49,3 +50,15 @@ def test_the_noise_of_a_measured_current_is_named_with_its_size(noise: float) ->
 )
 def test_commands_and_quiet_measurements_are_not_reported(channel: str, values: np.ndarray) -> None:
     assert found(channel, values) == []
+
+
+def test_the_command_of_a_controller_that_differentiates_an_encoder_is_not_reported() -> None:
+    """The drive follows it, however rough it is; the noise of a current sensor beside the same encoder is reported."""
+    encoder = np.rint(np.sin(15.0 * TIME) / 0.01) * 0.01
+    encoder[500:520] = np.nan
+    error = np.nan_to_num(0.2 * np.cos(3.0 * TIME) - encoder)
+    command = (3.0 * error + 0.06 * np.diff(error, prepend=error[0]) / 1e-3).clip(-3.0, 3.0)
+    noise = np.random.default_rng(0).normal(size=len(TIME))
+    assert found("motor_A", command) != []  # without the encoder, it passes for noise
+    assert found("motor_A", command, encoder) == []
+    assert found("motor_A", np.sin(15.0 * TIME) + 0.2 * noise, encoder) != []
