@@ -47,6 +47,7 @@ _VARIABLES = {
     "s": "extension",
     "rate": "extension",
 }
+_TABULATED = {"position", "speed", "time"}  # variables of tables (`search.tables.table_variables`)
 _NOISE_S = 0.05  # s; longer than the correlation of a sensor's noise
 
 
@@ -68,6 +69,30 @@ def depend_on_same_variable(first: AppliedEffect, second: AppliedEffect, machine
     sites = [machine.coordinate_of_site(e.site, e.definition.site) or e.site for e in (first, second)]
     structural = first.definition.structure or second.definition.structure
     return not structural and sites[0] == sites[1] and bool(_variables(first) & _variables(second))
+
+
+def curves_of_one_variable(effects: Sequence[AppliedEffect], machine: Machine) -> list[AppliedEffect]:
+    """Return the effects that are functions of one and the same variable of the same coordinate, two at least.
+
+    Together they are a curve over this variable, periodic ones among them. Effects with a memory are none, and those of
+    variables that no table has, such as a voltage.
+
+    Args:
+        effects: Effects of the machine among which to look.
+        machine: Machine on which they act.
+
+    Returns:
+        The largest such group, in the given order; empty if no two effects share a variable.
+    """
+    groups: dict[tuple[str, str], list[AppliedEffect]] = {}
+    for effect in effects:
+        variables = {name for name, _ in _variables(effect)}
+        remembers = effect.definition.structure or effect.definition.next_state
+        if len(variables) == 1 and variables <= _TABULATED and not remembers:
+            site = machine.coordinate_of_site(effect.site, effect.definition.site) or effect.site
+            groups.setdefault((site, *variables), []).append(effect)
+    largest = max(groups.values(), key=len, default=[])
+    return largest if len(largest) > 1 else []
 
 
 def _variables(effect: AppliedEffect) -> set[tuple[str, bool]]:

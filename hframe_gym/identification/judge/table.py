@@ -76,6 +76,19 @@ def accepts_table(evidence: TableEvidence) -> bool:
     return evidence.explained or (with_effects and FAR * evidence.cost < evidence.refitted)
 
 
+def is_one_curve(table: float, effects: float) -> bool:
+    """Return whether effects of one variable only imitate a curve of another form, which a table in their place shows.
+
+    At the widest observer they may explain the data; the error of their forms adds up in a simulation. Where effects
+    are right, a table resolves their curve at best as well as they do.
+
+    Args:
+        table: Cost of the simulation with the table in place of the effects.
+        effects: Cost of the simulation with the effects.
+    """
+    return CLEAR * table < effects
+
+
 def recommended_formula(errors: Sequence[float]) -> int | None:
     """Return which formula takes the place of a table: the simplest one that is as good as the best; None without any.
 

@@ -11,6 +11,7 @@ from ...effects.smooth_table import TABLE_FAMILY
 from ...machine import HOOKS, Effect, Machine, argument_names
 from ...preparation.dataset import Dataset
 from ..budget import Budget, BudgetEndedError, Parts, note_error, parts_of, spend
+from ..evidence.significance import curves_of_one_variable
 from ..evidence.tried_effects import ConsideredEffect, Log, SelectedEffect, Selection
 from ..fit.estimation import Fit, fit, prediction_cost
 from ..fit.lost_voltages import estimate_lost_voltages
@@ -28,7 +29,7 @@ from ..fit.start_estimation import refine_dataset
 from ..judge.criteria import SelectionCriteria
 from ..judge.error import FitError, explains, is_enough, nearly_explains, required_gain
 from ..judge.run import differs_in_a_parameter, uses_all_runs
-from ..judge.table import TableEvidence, accepts_table
+from ..judge.table import TableEvidence, accepts_table, is_one_curve
 from ..judge.verdict import (
     DriftEvidence,
     PartialEvidence,
@@ -303,6 +304,8 @@ class _Search:
         if start is not None:
             self._log("searching for further effects")
         after, effects, considered = self._known_effects(start)
+        if curve := self._in_place_of_curves(after, effects):
+            return self._outcome("effect_found", *curve, considered)
         if decided := self._decided(after, effects, considered):
             return decided
         tabled = None if self.runs_differ else self._with_tables((after, effects))
@@ -521,22 +524,52 @@ class _Search:
 
     def _with_tables(self, selected: Selection) -> Selection | None:
         """Return a model with tables, alone or beside the selected effects, if it explains the residual."""
-        (after, effects), criteria, log = selected, self._criteria, self._log
-        log("no known effect explains the residual; searching for a table of force or friction")
+        after, effects = selected
+        self._log("no known effect explains the residual; searching for a table of force or friction")
         wide = continue_fit(after, self._data, SEARCH_BANDWIDTH) if effects else self.base
         for start, known, count in ((self.base, (), 1), (wide, effects, 2)):
-            fitted, more = add_tables(start, known, self._data, criteria=criteria, max_tables=count, log=log)
-            if len(more) > len(known):
-                data = refine_dataset(self._data, fitted.machine)  # starts are more accurate with the table
-                fitted = fit_with_moved_knots(fitted, data, criteria)
-                # No search beside a table: many small effects resemble the error of its straight pieces.
-                refined = polish(fit_with_model_error(fitted, data), data)
-                candidate, kept = EffectSearch(data, self.before.machine, criteria, log).prune(refined, more)
+            if (tabled := self._tabled(start, known, count)) is not None:
                 replaced = len(effects) if start is self.base else 0
-                costs = self._wide_error(candidate).cost, self.base.cost, wide.cost
-                if kept and accepts_table(TableEvidence(self._explains(candidate), *costs, replaced)):
-                    return candidate, kept
+                costs = self._wide_error(tabled[0]).cost, self.base.cost, wide.cost
+                if accepts_table(TableEvidence(self._explains(tabled[0]), *costs, replaced)):
+                    return tabled
         return None
+
+    def _in_place_of_curves(self, after: Fit, effects: tuple[SelectedEffect, ...]) -> Selection | None:
+        """Return a model with a table in place of effects of one variable that only imitate a curve of another form."""
+        curves = curves_of_one_variable([s.effect for s in effects], after.machine)
+        if not curves or not self._explains(after) or self.runs_differ:
+            return None
+        left = self._simulated_cost(after)
+        if nearly_explains(dataclasses.replace(after, cost=left).error, self._criteria):
+            return None
+        self._log("several effects depend on one variable; searching for a table in their place")
+        start: Fit | None = continue_fit(after, self._data, SEARCH_BANDWIDTH)
+        for effect in curves:
+            start = start and without_effect(start, effect.label, self._data, self.before.machine)
+        others = tuple(s for s in effects if s.effect not in curves)
+        tabled = self._tabled(start, others, 1) if start is not None else None
+        if tabled is None or not self._explains(tabled[0]):
+            return None
+        return tabled if is_one_curve(self._simulated_cost(tabled[0]), left) else None
+
+    def _tabled(self, start: Fit, known: tuple[SelectedEffect, ...], count: int) -> Selection | None:
+        """Return a fit with up to `count` tables added to known effects; None if no table passes the tests."""
+        fitted, more = add_tables(
+            start, known, self._data, criteria=self._criteria, max_tables=count, log=self._log
+        )
+        if len(more) == len(known):
+            return None
+        data = refine_dataset(self._data, fitted.machine)  # starts are more accurate with the table
+        fitted = fit_with_moved_knots(fitted, data, self._criteria)
+        # No search beside a table: many small effects resemble the error of its straight pieces.
+        refined = polish(fit_with_model_error(fitted, data), data)
+        found = EffectSearch(data, self.before.machine, self._criteria, self._log).prune(refined, more)
+        return found if found[1] else None
+
+    def _simulated_cost(self, fitted: Fit) -> float:
+        """Return the cost of the simulation of a machine, refined in simulation."""
+        return prediction_cost(self._refined(fitted).machine, self._data_of(fitted), SIMULATION)
 
     def _wide_error(self, fitted: Fit) -> FitError:
         """Return the error of a machine at the largest observer bandwidth, common to all machines."""

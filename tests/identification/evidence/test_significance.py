@@ -11,7 +11,11 @@ import pytest
 
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset, prepare
-from hframe_gym.identification.evidence.significance import depend_on_same_variable, variance_along
+from hframe_gym.identification.evidence.significance import (
+    curves_of_one_variable,
+    depend_on_same_variable,
+    variance_along,
+)
 from hframe_gym.identification.fit import force_sizes
 from hframe_gym.identification.fit.force_sizes import force_size
 from hframe_gym.identification.fit.model_error import search_step
@@ -70,6 +74,21 @@ def test_which_effects_depend_on_the_same_variable(
     """Periodic ones only on that of other periodic ones."""
     assert depend_on_same_variable(first, second, HFRAME) == same
     assert depend_on_same_variable(second, first, HFRAME) == same
+
+
+def test_curves_of_one_variable_are_functions_of_it_alone_at_one_coordinate() -> None:
+    """A motor turns with its coordinate; what remembers, or depends on a voltage, is no curve that a table has."""
+    cogging = EFFECTS["cogging"].at("motor1", A=0.03, n=23.6, p=0.5)
+    spring = EFFECTS["cable_spring"].at("phi1", k=6.0, q0=0.0)
+    others = [
+        SPRING,
+        STRIBECK,
+        EFFECTS["dahl_hysteresis"].at("phi1", F=0.1, L=0.02),
+        EFFECTS["dead_band"].at("drives", Vd=0.1, drop=0.0),
+        EFFECTS["gain_mismatch"].at("motor1", g=0.1),
+    ]
+    assert curves_of_one_variable([spring, *others, cogging], HFRAME) == [spring, cogging]
+    assert curves_of_one_variable([spring, *others], HFRAME) == []
 
 
 def test_the_difference_of_forces_is_that_at_the_belt() -> None:

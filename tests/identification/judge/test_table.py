@@ -53,6 +53,13 @@ def test_a_table_is_accepted_if_it_explains_or_leaves_little(
     assert judge.accepts_table(evidence) == accepted
 
 
+@pytest.mark.parametrize(("table", "curve"), [(0.9, True), (1.1, False)])
+def test_a_table_shows_a_curve_that_effects_imitate_if_it_halves_the_error_of_the_simulation(
+    table: float, curve: bool
+) -> None:
+    assert judge.is_one_curve(table, 2.0) == curve
+
+
 @pytest.mark.parametrize(
     ("errors", "recommended"), [([1.09, 1.0], 0), ([1.1, 1.0], 1), ([3.0, 2.0, 1.9], 1), ([], None)]
 )

@@ -10,9 +10,10 @@ from typing import Any
 import pytest
 
 from hframe_gym.effects import EFFECTS
+from hframe_gym.effects.smooth_table import KNOTS, definition
 from hframe_gym.identification import Fit, SelectedEffect, SelectionCriteria
 from hframe_gym.identification.search import search_effects as search
-from hframe_gym.machine import Machine
+from hframe_gym.machine import AppliedEffect, Machine
 from hframe_gym.preparation.dataset import RunObserver
 from tests.identification.scripted_fits import (
     AXIS,
@@ -35,6 +36,7 @@ class ScriptedSearch:
         self.pruned: tuple[SelectedEffect, ...] | None = None
         self.wide = 10.0  # chi-squared at the bandwidth of the search
         self.with_effects = 10.0  # the same of a fit with effects
+        self.simulated_tables = 10.0  # chi-squared of a simulation with a table
         self.suspect: str | None = None
         self.of_all_runs = 10.0  # chi-squared of machines without effects on all four runs
         self.differences: Any = None
@@ -78,7 +80,9 @@ class ScriptedSearch:
             "prediction_cost": lambda machine, data, bandwidth: (
                 data.count
                 * (
-                    script.wide
+                    script.simulated_tables
+                    if TABLE in machine.effects and not bandwidth
+                    else script.wide
                     if bandwidth and machine.effects
                     else script.of_all_runs
                     if len(data.runs) == 4
@@ -157,6 +161,24 @@ def test_held_out_runs_judge_with_the_observer_of_the_search(scripted_search: Sc
     scripted_search.simulated = 1.1
     outcome = scripted_search.run()
     assert (outcome.after.bandwidth, outcome.bandwidth) == (0.0, 30.0)
+
+
+COGGING = EFFECTS["cogging"].at("motor", A=0.8, n=40.0, p=0.5)
+TABLE = definition("smooth_force[position of x]").at(
+    "x", **{f"{k}{i:02d}": i for k in "kf" for i in range(KNOTS)}
+)
+
+
+@pytest.mark.parametrize(("table", "names"), [(4.9, [TABLE]), (5.1, [SPRING, COGGING])])
+def test_effects_of_one_variable_give_way_to_a_table_that_simulates_clearly_better(
+    scripted_search: ScriptedSearch, table: float, names: list[AppliedEffect]
+) -> None:
+    """A spring and cogging explain the data with an observer, but leave ten times the noise in a simulation."""
+    scripted_search.effects, scripted_search.after = (selected(SPRING), selected(COGGING)), 1.2
+    scripted_search.tables = [(fit_with(TABLE, chi2=1.1), (selected(TABLE),))]
+    scripted_search.simulated_tables = table
+    outcome = scripted_search.run()
+    assert (outcome.verdict, [s.effect for s in outcome.selected]) == ("effect_found", names)
 
 
 WARM_UP = EFFECTS["friction_warm_up"].at("machine", a=0.5, tau=30.0)
