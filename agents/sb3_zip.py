@@ -33,6 +33,9 @@ _FORMS = tuple(
     for flat in (False, True)
     for normalize in (False, True)
 )
+# In place of the settings of a replay buffer, which a policy does not need: one of a million transitions would be
+# allocated, and that of hindsight experience replay refuses to exist without its environment.
+_NO_REPLAY = {"buffer_size": 1, "replay_buffer_class": None, "replay_buffer_kwargs": {}}
 # Module of the policy classes of PPO and A2C; those of the other algorithms are in a module of their name.
 _ON_POLICY = "stable_baselines3.common.policies"
 
@@ -162,7 +165,7 @@ def _load(path: Path) -> Any:
     name = _algorithm(path, _data(path))
     package = import_optional("sb3_contrib" if name.lower() in CONTRIB_ALGORITHMS else "stable_baselines3")
     try:
-        return getattr(package, name).load(path, device="cpu")
+        return getattr(package, name).load(path, device="cpu", custom_objects=_NO_REPLAY)
     except (ValueError, TypeError, RuntimeError, KeyError, AttributeError, ModuleNotFoundError) as error:
         raise InputError(f"{path}: cannot be loaded: {' '.join(str(error).split())[:200]}") from None
 

@@ -19,10 +19,11 @@ from hframe_gym.evaluation import PROTOCOLS, Scenario, evaluate, make_controller
 stable_baselines3 = pytest.importorskip("stable_baselines3")
 
 
-def saved(path: Path, env: Any, algorithm: str = "PPO", seed: int = 0) -> str:
+def saved(path: Path, env: Any, algorithm: str = "PPO", seed: int = 0, **keywords: Any) -> str:
     """Save a model with random weights; return the path of the file."""
     policy = "MultiInputPolicy" if isinstance(env.observation_space, gym.spaces.Dict) else "MlpPolicy"
-    keywords = {"n_steps": 8, "batch_size": 8} if algorithm == "PPO" else {}
+    if algorithm == "PPO":
+        keywords |= {"n_steps": 8, "batch_size": 8}
     model = getattr(stable_baselines3, algorithm)(policy, env, seed=seed, device="cpu", **keywords)
     model.save(path)
     return str(path)
@@ -49,6 +50,18 @@ def test_a_model_acts_as_in_its_training(tmp_path: Path, algorithm: str, options
     model = getattr(stable_baselines3, algorithm).load(name, device="cpu")
     expected, _ = model.predict(envs.reset(), deterministic=True)
     np.testing.assert_array_equal(controller.act(plain), expected)
+
+
+def test_a_model_of_hindsight_replay_needs_neither_its_environment_nor_its_memory(tmp_path: Path) -> None:
+    replay = {
+        "replay_buffer_class": stable_baselines3.HerReplayBuffer,
+        "replay_buffer_kwargs": {"n_sampled_goal": 4},
+        "buffer_size": 1000,
+    }
+    envs = HFrameVecEnv(2, normalize=True, reward="sparse")
+    controller = make_controller(saved(tmp_path / "model.zip", envs, "SAC", **replay))
+    assert isinstance(controller, Sb3Model)
+    assert controller.model.replay_buffer.buffer_size == 1
 
 
 def test_a_model_that_does_not_know_the_environment_refuses_normalized_observations(tmp_path: Path) -> None:
