@@ -442,7 +442,7 @@ def test_scores_are_not_cut(metric: str, width: int) -> None:
     success = {band: {"1mm": 1.0, "0.2mm": 0.998, "0.05mm": 0.125}[band] for band in cli_tables.BANDS}
     keys = cli_tables.BANDS if metric == "settling_s" else ("rms", "max")
     errors = {key: {"mean": 1.2345 + i} for i, key in enumerate(keys)}
-    score = {"success": success, metric: errors, "tracking_mm": errors}
+    score = {"success": success, metric: errors, "tracking_mm": errors, "final_error_mm": {"mean": 0.0123}}
     names = ("pid", "my_package.my_controllers:a-controller")
     scores = {
         "task": "reach",
@@ -460,9 +460,12 @@ def test_scores_are_not_cut(metric: str, width: int) -> None:
 
 
 def test_a_band_in_which_nothing_settles_has_no_settling_time() -> None:
-    """The mean is then the length of the episodes, which is no settling time."""
+    """The mean is then the length of the episodes, which is no settling time; what is left says how near it came."""
     bands = {"1mm": 0.5, "0.2mm": 0.0, "0.05mm": 0.0}
-    score = {"success": bands, "settling_s": {band: {"mean": 1.5} for band in bands}}
+    settling = {band: {"mean": 1.5} for band in bands}
+    bound = {"0.2mm": {"ratio_of_means": {"mean": 5.9}}}
+    left = {"mean": 2.26, "median": 2.26}
+    score = {"success": bands, "settling_s": settling, "over_bound": bound, "final_error_mm": left}
     scores = {
         "task": "reach",
         "episodes": 512,
@@ -472,23 +475,16 @@ def test_a_band_in_which_nothing_settles_has_no_settling_time() -> None:
         "seed": 0,
     }
     text = printed(cli_tables.score_table({**scores, "controllers": {"idle": score}}), 80)
-    assert text.split()[-7:] == ["50.0", "0.0", "0.0", "1.500", "-", "-", "-"]
+    assert text.split()[-8:] == ["50.0", "0.0", "0.0", "1.500", "-", "-", "-", "2.26"]
     part = {f"settling_s.{band}": {"success": bands[band], "mean": 1.5, "ci95": (1.4, 1.5)} for band in bands}
     result = {
         "protocol": "reach-v1",
         "entry": {"name": "idle"},
-        "scores": {"reach": {"final_error_mm": 1.0, **part}},
+        "scores": {"reach": {"final_error_mm": left, **part}},
     }
     (table,) = cli_tables.protocol_tables([result])
     # Nor a ratio to the bound.
-    assert printed(table, 80).split()[-6:] == [
-        "idle",
-        "50.0",
-        "0.0",
-        "0.0",
-        "-",
-        "-",
-    ]
+    assert printed(table, 80).split()[-7:] == ["idle", "50.0", "0.0", "0.0", "-", "-", "2.26"]
 
 
 def test_machines_lists_the_built_in_machines(hframe_command: Command) -> None:

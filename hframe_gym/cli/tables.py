@@ -125,8 +125,9 @@ def score_table(scores: Mapping[str, Any]) -> Table:
     Returns:
         Table (rich) with one row per controller. The first columns are the fractions of episodes, %, that end within 1,
         0.2 and 0.05 mm of the goal. For a fixed goal, the mean settling times to these bands, s, follow, and the mean
-        settling time to 0.2 mm divided by the mean of the shortest possible ones (time-optimal bound); "-" means that
-        the value is unknown. For a path, root mean square and largest contour and tracking error, mm, follow instead.
+        settling time to 0.2 mm divided by the mean of the shortest possible ones (time-optimal bound), and the mean
+        distance to the goal at the end, mm; "-" means that the value is unknown or nothing settles. For a path, root
+        mean square and largest contour and tracking error, mm, follow instead.
         Rotary axes have bands of 10, 2 and 0.5 mrad, and errors in mrad.
     """
     from ..evaluation import PATH_ERRORS, task_name, unit_of_scores
@@ -141,7 +142,7 @@ def score_table(scores: Mapping[str, Any]) -> Table:
     bands = [band.replace(unit.small, f"\n{unit.small}") for band in unit.bands]
     columns = [f"in\n{band}\n%" for band in bands]
     if fixed_goal:
-        columns += [*(f"until\n{band}\ns" for band in bands), "over\nthe\nbound"]
+        columns += [*(f"until\n{band}\ns" for band in bands), "over\nthe\nbound", f"error\nat end\n{unit.small}"]
     else:
         columns += [
             f"{_SHORT[error]}\nerror\n{kind}\n{unit.small}"
@@ -162,11 +163,12 @@ def score_table(scores: Mapping[str, Any]) -> Table:
 
 
 def _settling_cells(score: Mapping[str, Any], unit: AxisUnit) -> list[str]:
-    """Return the mean settling times, s, and the ratio of the mean settling time to the mean time-optimal bound."""
+    """Return the mean settling times, s, their ratio to the mean time-optimal bound, and the mean error at the end."""
     from ..evaluation import ratio_to_bounds, settling_in
 
     values = (*(settling_in(score, band) for band in unit.bands), ratio_to_bounds(score))
-    return [f"{value['mean']:.3f}" if value else "-" for value in values]
+    left = score[f"final_error_{unit.small}"]["mean"]
+    return [*(f"{value['mean']:.3f}" if value else "-" for value in values), number(left)]
 
 
 def _path_cells(score: Mapping[str, Any], unit: AxisUnit) -> list[str]:
@@ -186,7 +188,7 @@ def protocol_tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:
     Returns:
         One table (rich) per task of the protocol, with one row per controller. For moves to a goal: the fractions of
         episodes, %, that settle within 1, 0.2 and 0.05 mm, the mean settling time to 0.2 mm, s, and its ratio to the
-        mean bound (where bounds are stored), with 95 % intervals. For paths: root mean square and largest contour
+        mean bound (where bounds are stored), with 95 % intervals, and the median distance at the end, mm. For paths: root mean square and largest contour
         error, mm, with their intervals.
     """
     from ..evaluation import get_protocol, protocol_bounds, settling_or_none
@@ -200,6 +202,8 @@ def protocol_tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:
         known_bounds = int(np.isfinite(bound).sum())
         if known_bounds:
             columns.append(f"over the bound ({known_bounds} draws)")
+        if moves:
+            columns.append("error at the end, mm")
         table = Table(title=f"{results[0]['protocol']}, {part}", title_justify="left", box=box.SIMPLE_HEAD)
         table.add_column("name", overflow="fold")
         for column in columns:
@@ -216,6 +220,8 @@ def protocol_tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:
             ]
             if known_bounds:
                 cells.append(_over_bound(result, part, bound, protocol.duration_s))
+            if moves:
+                cells.append(number(scores["final_error_mm"]["median"]))
             table.add_row(escape(result["entry"]["name"]), *cells)
         tables.append(table)
     return tables

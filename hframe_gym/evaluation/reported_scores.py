@@ -45,11 +45,16 @@ def settling_in(score: Mapping[str, Any], band: str) -> Mapping[str, Any] | None
 
 
 def ratio_to_bounds(score: Mapping[str, Any]) -> Mapping[str, Any] | None:
-    """Return the mean settling time over the mean of the shortest possible times, with its interval; None without."""
-    by_band = (score.get("over_bound") or {}).get(
-        METERS.bound_band
-    ) or {}  # bounds exist for linear axes only
-    ratio: Mapping[str, Any] | None = by_band.get("ratio_of_means")
+    """Return the mean settling time over the mean of the shortest possible times, with its interval.
+
+    Returns:
+        The ratio; None without bounds, which exist for linear axes only, and where nothing settles.
+    """
+    band = METERS.bound_band
+    by_band = score.get("over_bound") or {}
+    if band not in by_band or not score["success"][band]:
+        return None
+    ratio: Mapping[str, Any] | None = by_band[band].get("ratio_of_means")
     return ratio
 
 
