@@ -142,7 +142,11 @@ def score_table(scores: Mapping[str, Any]) -> Table:
     bands = [band.replace(unit.small, f"\n{unit.small}") for band in unit.bands]
     columns = [f"in\n{band}\n%" for band in bands]
     if fixed_goal:
-        columns += [*(f"until\n{band}\ns" for band in bands), "over\nthe\nbound", f"error\nat end\n{unit.small}"]
+        columns += [
+            *(f"until\n{band}\ns" for band in bands),
+            "over\nthe\nbound",
+            f"error\nat end\n{unit.small}",
+        ]
     else:
         columns += [
             f"{_SHORT[error]}\nerror\n{kind}\n{unit.small}"

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from ..dynamics import simulate_batch
 from ..dynamics.physics.effect_instances import instances_with_state
-from ..machine import Machine, Sensor
+from ..machine import Machine, Sensor, commanded_state
 from ..recordings import Recording
 from .belt_stretch import rigid_basis, vibration_speeds
 from .encoder_zeros import EncoderZeros
@@ -176,7 +176,7 @@ def estimate_initial_state(
 
     Sensors with a known zero determine the position: lasers, whose zero is fixed, and encoders whose zero is given.
     Other encoders are used only where nothing else measures; one on a coordinate whose position is commanded then
-    counts from where the command holds it. Only encoders with a known zero measure a stretch of the belts. A laser
+    counts from where the command holds it, and without any sensor the coordinate is there. Only encoders with a known zero measure a stretch of the belts. A laser
     that is saturated at rest is replaced by its later measurements minus the encoders' displacement.
 
     Args:
@@ -212,10 +212,10 @@ def estimate_initial_state(
     usable = np.isfinite(zeroed)
     velocity = InitialVelocity.at_rest(machine)
     if rows == 1:  # The run may begin in motion, from the position from which it is simulated.
-        position = _position_matrix(machine, zeros, usable, moving=True) @ np.nan_to_num(zeroed)
+        position = _located(recording, machine, _position_matrix(machine, zeros, usable, moving=True), zeroed)
         velocity = initial_velocity(recording, machine, rigid, position)
     position_matrix = _position_matrix(machine, zeros, usable, moving=len(velocity.deviations) > 0)
-    position = position_matrix @ np.nan_to_num(zeroed)
+    position = _located(recording, machine, position_matrix, zeroed)
     for j in np.flatnonzero(known & measured & zeros.resolves_stretch):
         position[site[j]] = zeroed[j] / machine.sensors[j].row[machine.sensors[j].coordinate]
     estimated = np.where(
@@ -293,6 +293,18 @@ def _position_matrix(
     return np.asarray(
         rigid @ np.linalg.pinv(weight[:, None] * (machine.sensor_matrix @ rigid), rcond=1e-12) * weight
     )
+
+
+def _located(recording: Recording, machine: Machine, position_matrix: Array, zeroed: Array) -> Array:
+    """Return the positions at the first row, m or rad, shape (coordinates,), from measurements minus zeros.
+
+    In directions that no sensor of a position measures, the machine is where its commands hold it, or else at 0.
+    """
+    seen = machine.sensor_matrix[np.isfinite(zeroed)] @ rigid_basis(machine)
+    if not machine.position_commands or _rank(seen) == seen.shape[1]:
+        return np.asarray(position_matrix @ np.nan_to_num(zeroed))
+    held = commanded_state(machine, recording.inputs[0])[: len(machine.coordinates)]
+    return np.asarray(held + position_matrix @ np.nan_to_num(zeroed - machine.sensor_matrix @ held))
 
 
 def _rank(rows: Array) -> int:

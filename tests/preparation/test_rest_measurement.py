@@ -9,7 +9,7 @@ import pytest
 
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import InitialState, estimate_initial_state
-from hframe_gym.machine import BUILTIN_MACHINES, Machine
+from hframe_gym.machine import BUILTIN_MACHINES, Machine, Sensor, commanded_state
 from hframe_gym.preparation.rest_measurement import count_resting_rows, settled_rows
 from hframe_gym.preparation.sensor_zeros import sensor_zero_error
 from hframe_gym.preparation.session_zeros import common_encoder_zeros
@@ -75,6 +75,19 @@ def test_an_axis_with_an_encoder_only_needs_no_warning(hframe: Machine) -> None:
     encoder = dataclasses.replace(hframe, sensors=hframe.sensors[:2])
     initial = estimate_initial_state(recording(np.zeros((20, 2)), 10), encoder)
     assert initial.warnings == ()
+
+
+@pytest.mark.parametrize("name", ["servo", "printer"])
+def test_without_a_sensor_of_the_position_the_machine_is_where_its_commands_hold_it(name: str) -> None:
+    machine = BUILTIN_MACHINES[name]()
+    axis = machine.tool_axes[0]
+    machine = machine.replace(sensors=(Sensor("a", {axis: 1.0}, noise=0.1, kind="acceleration"),))
+    inputs = np.full((200, len(machine.drives)), 0.3)
+    initial = estimate_initial_state(
+        Recording("run", np.arange(200) * 1e-3, inputs, np.zeros((200, 1))), machine
+    )
+    np.testing.assert_allclose(initial.state, commanded_state(machine, inputs[0]))
+    assert initial.state[0] != 0.0
 
 
 @pytest.mark.parametrize("first", [0, 4])

@@ -29,9 +29,11 @@ from .tables import TimedTable, log_of_tables, signal_columns
 
 _END = b"\x03"  # of a message
 _BLOCK = 1 << 16  # compressed bytes that are expanded at a time; the size is checked after each block
-# s; commanded motions, which the log has as pieces of constant acceleration, are given at this period.
+# s; commanded motions, which the log has as pieces of constant acceleration, are given at this period while no sensor
+# measures.
 _PERIOD = 1e-3
 _MOST_STEPS = 65535  # in one row of steps; the printer's board counts them with 16 bits
+_MOTIONS, _STEPS = "trapq", "stepq"  # kinds of data that are commands
 _PER_TURN = 65536.0  # steps of an angle sensor per turn
 _ACCELERATION = ("x_acceleration [mm/s^2]", "y_acceleration [mm/s^2]", "z_acceleration [mm/s^2]")
 _MOTION = tuple(
@@ -76,13 +78,16 @@ class KlipperDataLogs(LogFormat):
             name, params = message.get("q"), message.get("params")
             if not isinstance(name, str) or not isinstance(params, dict):
                 continue
-            if name.partition(":")[0] in _TABLES:
+            if name.partition(":")[0] in (*_TABLES, _MOTIONS):
                 blocks[name].append(params)
             else:
                 unread.add(name)
-        tables = [
-            _TABLES[name.partition(":")[0]](path, name, params) for name, params in sorted(blocks.items())
-        ]
+        kinds = {name: name.partition(":")[0] for name in sorted(blocks)}
+        tables = [_TABLES[kind](path, name, blocks[name]) for name, kind in kinds.items() if kind != _MOTIONS]
+        measured = [t.reader((), None)[0] for t in tables if not t.name.startswith(_STEPS)]
+        measured_s = np.unique(np.concatenate([np.empty(0), *measured]))
+        motions = [name for name, kind in kinds.items() if kind == _MOTIONS]
+        tables += [_motion(path, name, blocks[name], measured_s) for name in motions]
         if not tables:
             problem = f"subscriptions: {', '.join(sorted(unread)) or 'none'}"
             raise InputError(f"{path}: has no motions or measurements of Klipper ({problem})")
@@ -177,11 +182,12 @@ def _steps(path: Path, name: str, params: Sequence[dict[str, Any]]) -> TimedTabl
     return _in_memory(name, ("position [mm]",), np.concatenate(times), [np.concatenate(positions)])
 
 
-def _motion(path: Path, name: str, params: Sequence[dict[str, Any]]) -> TimedTable:
+def _motion(path: Path, name: str, params: Sequence[dict[str, Any]], measured_s: Array) -> TimedTable:
     """Return commanded positions, velocities and accelerations of the axes, of which the log has the pieces.
 
     A piece of constant acceleration has its time, duration, initial speed, acceleration, initial position and
-    direction.
+    direction. The motion is given at the times of the sensors' measurements, shape (m,), s, and every millisecond
+    before and after them.
     """
     rows = [row for block in params if isinstance(block.get("data"), list) for row in block["data"]]
     try:
@@ -201,6 +207,10 @@ def _motion(path: Path, name: str, params: Sequence[dict[str, Any]]) -> TimedTab
         if not len(table):
             return np.empty(0), [np.empty(0) for _ in indices], []
         time_s = table[0, 0] + _PERIOD * np.arange(int(duration / _PERIOD) + 1)
+        given = f"every {_PERIOD * 1e3:g} ms"
+        if len(measured_s):
+            outside = (time_s < measured_s[0]) | (time_s > measured_s[-1])
+            time_s, given = np.union1d(time_s[outside], measured_s), "at the times of the sensors"
         piece = np.maximum(np.searchsorted(table[:, 0], time_s, "right") - 1, 0)
         since, length, speed, acceleration = time_s - table[piece, 0], *table[piece, 1:4].T
         within = np.clip(since, 0.0, length)
@@ -215,7 +225,7 @@ def _motion(path: Path, name: str, params: Sequence[dict[str, Any]]) -> TimedTab
             axis, derivative = divmod(index, 3)
             value = along[derivative] * table[piece, 7 + axis]
             values.append(value + table[piece, 4 + axis] if derivative == 0 else value)
-        return time_s, values, [f"{name}: commanded motion, given every {_PERIOD * 1e3:g} ms"]
+        return time_s, values, [f"{name}: commanded motion, given {given}"]
 
     return TimedTable(name, signal_columns([f"{name}/{ending}" for ending in _MOTION]), read)
 
@@ -229,10 +239,9 @@ def _in_memory(name: str, endings: Sequence[str], time_s: Array, values: Sequenc
     return TimedTable(name, signal_columns([f"{name}/{ending}" for ending in endings]), read)
 
 
-# By the kind of data, the part of the subscription's name before the colon.
+# By the kind of data, the part of the subscription's name before the colon; motions follow the times of the sensors.
 _TABLES = {
-    "trapq": _motion,
-    "stepq": _steps,
+    _STEPS: _steps,
     "angle": _angle,
     **dict.fromkeys(("adxl345", "lis2dw", "lis3dh", "mpu9250", "icm20948", "bmi160"), _sensor),
 }
