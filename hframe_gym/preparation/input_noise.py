@@ -97,9 +97,9 @@ def noisy_inputs(recording: Recording, machine: Machine) -> list[int]:
     for j, (channel, values) in enumerate(zip(machine.input_channels, recording.inputs.T, strict=True)):
         size = float(np.sqrt(np.mean(np.square(values)))) if len(values) else 0.0
         measurable = channel.rpartition("_")[2] in _FORCE_UNITS
-        if measurable and noise_of_input(values) > MUCH_NOISE * size > 0.0:
-            if not answers_measurements(values, recording.outputs):
-                found.append(j)
+        noisy = measurable and noise_of_input(values) > MUCH_NOISE * size > 0.0
+        if noisy and not answers_measurements(values, recording.outputs):
+            found.append(j)
     return found
 
 

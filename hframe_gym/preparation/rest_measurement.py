@@ -176,8 +176,9 @@ def estimate_initial_state(
 
     Sensors with a known zero determine the position: lasers, whose zero is fixed, and encoders whose zero is given.
     Other encoders are used only where nothing else measures; one on a coordinate whose position is commanded then
-    counts from where the command holds it, and without any sensor the coordinate is there. Only encoders with a known zero measure a stretch of the belts. A laser
-    that is saturated at rest is replaced by its later measurements minus the encoders' displacement.
+    counts from where the command holds it, and without any sensor the coordinate is there. Only encoders with a
+    known zero measure a stretch of the belts. A laser that is saturated at rest is replaced by its later
+    measurements minus the encoders' displacement.
 
     Args:
         recording: The run; saturated measurements are NaN.
