@@ -190,10 +190,10 @@ def protocol_tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:
         results: Contents of the result files that `hframe evaluate --protocol` writes, one per controller.
 
     Returns:
-        One table (rich) per task of the protocol, with one row per controller. For moves to a goal: the fractions of
-        episodes, %, that settle within 1, 0.2 and 0.05 mm, the mean settling time to 0.2 mm, s, and its ratio to the
-        mean bound (where bounds are stored), with 95 % intervals, and the median distance at the end, mm. For paths: root mean square and largest contour
-        error, mm, with their intervals.
+        One table (rich) per task of the protocol, with one row per controller. For moves to a goal: the fractions
+        of episodes, %, that settle within 1, 0.2 and 0.05 mm, the mean settling time to 0.2 mm, s, and its ratio to
+        the mean bound (where bounds are stored), with 95 % intervals, and the median distance at the end, mm. For
+        paths: root mean square and largest contour error, mm, with their intervals.
     """
     from ..evaluation import get_protocol, protocol_bounds, settling_or_none
 
