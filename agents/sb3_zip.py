@@ -35,7 +35,7 @@ _FORMS = tuple(
 )
 # In place of the settings of a replay buffer, which a policy does not need: one of a million transitions would be
 # allocated, and that of hindsight experience replay refuses to exist without its environment.
-_NO_REPLAY = {"buffer_size": 1, "replay_buffer_class": None, "replay_buffer_kwargs": {}}
+_NO_REPLAY: dict[str, Any] = {"buffer_size": 1, "replay_buffer_class": None, "replay_buffer_kwargs": {}}
 # Module of the policy classes of PPO and A2C; those of the other algorithms are in a module of their name.
 _ON_POLICY = "stable_baselines3.common.policies"
 

@@ -90,7 +90,7 @@ def curves_of_one_variable(effects: Sequence[AppliedEffect], machine: Machine) -
         remembers = effect.definition.structure or effect.definition.next_state
         if len(variables) == 1 and variables <= _TABULATED and not remembers:
             site = machine.coordinate_of_site(effect.site, effect.definition.site) or effect.site
-            groups.setdefault((site, *variables), []).append(effect)
+            groups.setdefault((site, variables.pop()), []).append(effect)
     largest = max(groups.values(), key=len, default=[])
     return largest if len(largest) > 1 else []
 
