@@ -83,8 +83,8 @@ def is_one_curve(table: float, effects: float) -> bool:
     are right, a table resolves their curve at best as well as they do.
 
     Args:
-        table: Cost of the simulation with the table in place of the effects.
-        effects: Cost of the simulation with the effects.
+        table: Cost of the simulation with the table in place of the effects, dimensionless.
+        effects: Cost of the simulation with the effects, dimensionless.
     """
     return CLEAR * table < effects
 
