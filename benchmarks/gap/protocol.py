@@ -24,10 +24,9 @@ from benchmarks.gap.control_loop import DURATION_S, PERIOD_S, GapEpisodes, Start
 from benchmarks.gap.entries import GapEntry
 from benchmarks.gap.plants import COUNT, PUBLIC_SEED, GapPlant, declared_machine, draw_plant
 from benchmarks.gap.recorder import CHOSEN_S, LOGS_S, RATE_HZ, Recorder
-from hframe_gym.controllers import Controller
 from hframe_gym.envs import Reach, Task, Track
 from hframe_gym.errors import InputError
-from hframe_gym.evaluation import BANDS, settling_times
+from hframe_gym.evaluation import BANDS, TimedController, settling_times
 from hframe_gym.recordings.machine_file import machine_to_dict
 from tests.reference_simulator import Array
 
@@ -152,7 +151,7 @@ def score(
             return row | {name: same[name] for name in ("values", "control_us")}
     values, timed = {}, []
     for part, task in PARTS.items():
-        timed.append(_Timed(entry.controller(task)))
+        timed.append(TimedController(entry.controller(task)))
         values[part] = episode_values(control(timed[-1], plant, task, starts(plant, part), _NOISE))
     actions = sum(t.actions for t in timed)
     return row | {"values": values, "control_us": round(1e6 * sum(t.cpu_s for t in timed) / actions, 1)}
@@ -229,26 +228,6 @@ def episode_values(episodes: GapEpisodes) -> Values:
 def _rounded(values: Array) -> list[float | None]:
     """Return values (B,) rounded to `_DECIMALS`."""
     return [round(value, _DECIMALS) for value in values.tolist()]
-
-
-class _Timed(Controller):
-    """A controller whose processor time is measured."""
-
-    def __init__(self, controller: Controller) -> None:
-        super().__init__(controller.machine, controller.period)
-        self.controller, self.cpu_s, self.actions = controller, 0.0, 0
-
-    def act(self, observation: Mapping[str, Any]) -> Array:
-        """Return the controller's actions."""
-        start = time.process_time()
-        actions = self.controller.act(observation)
-        self.cpu_s += time.process_time() - start
-        self.actions += len(actions)
-        return actions
-
-    def reset(self, mask: Any = None) -> None:
-        """Reset the controller."""
-        self.controller.reset(mask)
 
 
 def score_plants(

@@ -14,6 +14,7 @@ from typing_extensions import override
 from ..errors import InputError
 from ..machine import Machine
 from ..recordings import (
+    NOT_MEASURED,
     TIME,
     Interval,
     MappingOptions,
@@ -28,7 +29,6 @@ from .log_columns import LogView, open_log, run_size, thinned, view_log
 from .session import CONTROL, EXPORTS, FINDINGS, RESULT, RUNS, ImportChoices, import_command
 from .stage import Stage, State, banner, heading, table
 
-_NOT_MEASURED = "none"
 _RATE = "rate"
 _AS_LOGGED = ""
 _MOST_CURVES = 24  # columns that are drawn; logs of machine tools have hundreds
@@ -177,7 +177,7 @@ class LogsStage(Stage):
                 chosen = self._choices.columns.get(channel) or proposals.named.get(channel)
                 menu = {header: header for header in headers}
                 if channel in machine.output_channels:
-                    menu[_NOT_MEASURED] = "not measured"
+                    menu[NOT_MEASURED] = "not measured"
                 if channel == TIME:
                     menu[_RATE] = "no column: constant rate"
                     chosen = _RATE if chosen is not None and chosen not in headers else chosen

@@ -11,11 +11,11 @@ from numpy.typing import ArrayLike
 
 from ..arrays import Array
 from ..dynamics import DifferentiableMotion, Friction, Motions, NotFiniteError, instances_with_state
+from ..dynamics.simulation import DIVERGED
 from ..envs.workspace import EndStops, tool_terms
 from ..errors import InputError
 from ..machine import Machine, rest_state
 
-_DIVERGED = 1e6  # m, rad or per second, as in `simulate`
 Tensor = TypeVar("Tensor")  # array of the library that differentiates
 
 
@@ -209,7 +209,7 @@ class Stage(ABC, Generic[Tensor]):
         Raises:
             NotFiniteError: If a motion diverges; the message names time and coordinate.
         """
-        diverged = ~(np.abs(states) < _DIVERGED)
+        diverged = ~(np.abs(states) < DIVERGED)
         if diverged.any():
             b, k, entry = map(int, np.argwhere(diverged)[0])
             raise NotFiniteError(

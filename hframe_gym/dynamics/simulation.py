@@ -27,7 +27,7 @@ from .physics.effect_instances import instances_with_state
 MOST_STEPS = 1_000_000_000  # of one simulation; it takes minutes
 LONGEST_STEP = 0.25e-3  # s; 0.2 um median error over 0.4 s of random voltages (benchmarks/accuracy.py)
 
-_DIVERGED = 1e6  # m, rad, or per second; no machine of this kind gets anywhere near
+DIVERGED = 1e6  # m, rad, or per second; no machine of this kind gets anywhere near
 
 
 class NotFiniteError(ArithmeticError):
@@ -281,7 +281,7 @@ def simulate(
 def _check_finite(machine: Machine, time_s: Array, motion: Motion, longest_step: float) -> None:
     """Raise NotFiniteError if the motion of the first machine has a value that no machine reaches, or NaN."""
     state = np.concatenate(motion, axis=2)[0]
-    diverged = ~(np.abs(state) < _DIVERGED)
+    diverged = ~(np.abs(state) < DIVERGED)
     if diverged.any():
         row, column = map(int, np.argwhere(diverged)[0])
         names = (*machine.coordinate_names, *(f"velocity of {c}" for c in machine.coordinate_names))

@@ -51,6 +51,7 @@ from .scenario import (
     make_controller,
 )
 from .scorecard import write_scorecard
+from .timed_controller import TimedController
 from .undeclared_effects import EFFECT_FAMILIES, acting_effects, effect_rules, with_absent_effects
 
 __all__ = [
@@ -76,6 +77,7 @@ __all__ = [
     "ResultFile",
     "Scenario",
     "StoredBounds",
+    "TimedController",
     "acting_effects",
     "checksum",
     "compare_draws",

@@ -21,7 +21,6 @@ import hashlib
 import inspect
 import json
 import sys
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -30,8 +29,6 @@ from types import FunctionType, ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
-from typing_extensions import override
 
 from ..arrays import Array
 from ..controllers import CONTROLLERS, Controller, OutputFeedbackController, StateEstimator
@@ -44,6 +41,7 @@ from ..registry import load_plugins
 from .metrics import BANDS, condition_digests, settling_times
 from .runner import rollout
 from .scenario import CONTROLLER_SOURCES, Episodes, Scenario, episode_conditions, make_controller
+from .timed_controller import TimedController
 from .undeclared_effects import effect_rules, with_absent_effects
 
 Draws = dict[str, list[float | None]]
@@ -232,26 +230,6 @@ class Entry(NamedTuple):
     control_us: float | None = None
 
 
-class _Timed(Controller):
-    """A controller whose processor time is measured."""
-
-    def __init__(self, controller: Controller) -> None:
-        super().__init__(controller.machine, controller.period)
-        self.controller, self.cpu_s, self.actions = controller, 0.0, 0
-
-    @override
-    def act(self, observation: Mapping[str, NDArray[Any]]) -> Array:
-        start = time.process_time()
-        actions = self.controller.act(observation)
-        self.cpu_s += time.process_time() - start
-        self.actions += len(actions)
-        return actions
-
-    @override
-    def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
-        self.controller.reset(mask)
-
-
 def run_protocol(name: str, protocol: Protocol) -> tuple[Entry, dict[str, Draws]]:
     """Run a controller or an agent through all parts of a protocol.
 
@@ -273,7 +251,7 @@ def run_protocol(name: str, protocol: Protocol) -> tuple[Entry, dict[str, Draws]
     for part in protocol.parts:
         entry, controller = make_entry(name, protocol, part)
         entries.append(entry)
-        timed.append(_Timed(controller))
+        timed.append(TimedController(controller))
         values[part] = draw_values(rollout(timed[-1], protocol.scenario(part)))
     cost = 1e6 * sum(t.cpu_s for t in timed) / sum(t.actions for t in timed)
     return _combined(entries)._replace(control_us=round(cost, 1)), values

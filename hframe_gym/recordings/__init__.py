@@ -14,6 +14,7 @@ from .cleaning import (
 )
 from .examples import copy_examples, examples_folder
 from .logs import (
+    NOT_MEASURED,
     TIME,
     ChannelSource,
     ImportSettings,
@@ -68,6 +69,7 @@ from .wrapping import Wrap, find_wrap, known_moduli, unwrapped, without_wraps, w
 
 __all__ = [
     "GAP_PERIODS",
+    "NOT_MEASURED",
     "TABLES",
     "TEMPLATES",
     "TIME",

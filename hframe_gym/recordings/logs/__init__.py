@@ -14,11 +14,19 @@ from .log_import import (
     parse_interval,
     read_mapping_file,
 )
-from .log_mapping import ChannelSource, MappingOptions, ProposedColumns, map_columns, propose_columns
+from .log_mapping import (
+    NOT_MEASURED,
+    ChannelSource,
+    MappingOptions,
+    ProposedColumns,
+    map_columns,
+    propose_columns,
+)
 from .measurement_units import TIME, accepted_units
 
 __all__ = [
     "LOG_FORMATS",
+    "NOT_MEASURED",
     "TIME",
     "ChannelSource",
     "ImportSettings",

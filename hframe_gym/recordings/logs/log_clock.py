@@ -7,11 +7,10 @@ from itertools import pairwise
 import numpy as np
 
 from ...arrays import Array
+from ..recording import LONGEST_GAP
 from .measurement_units import TIME
 
 _DAY = 86_400.0  # s
-# s; a time of day that goes back by a day less this gap has passed midnight. A recording with a longer gap is refused.
-_LONGEST_GAP = 600.0
 # Values at which counters of clocks start anew, in the unit of the column, with the counter in words. They are tried in
 # this order. A counter of microseconds may be logged in ms or s, one of milliseconds in s.
 _COUNTERS = {
@@ -66,7 +65,8 @@ def continued_over_midnight(times: Array) -> tuple[Array, str]:
         times: Times, s, shape (n,), that go on after midnight; those given if they do not go back by about a day.
         remark: What was done, for the user; "" for nothing.
     """
-    continued, midnights = _continued(times, _DAY, _LONGEST_GAP)
+    # A day less than the longest gap of a recording: a longer one would be refused.
+    continued, midnights = _continued(times, _DAY, LONGEST_GAP)
     return continued, f"{TIME} goes on after midnight ({_times(midnights)})" if midnights else ""
 
 
