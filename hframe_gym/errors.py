@@ -47,7 +47,6 @@ def suggestion(name: object, names: Iterable[str]) -> str:
 
     Args:
         name: Name that a user gave.
-        names: Names that exist.
     """
     similar = difflib.get_close_matches(str(name), list(names), 1)
     return f"; did you mean {similar[0]!r}?" if similar else ""

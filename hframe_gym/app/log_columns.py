@@ -159,9 +159,6 @@ def view_log(path: Path, machine: Machine, options: MappingOptions) -> LogView:
 def open_log(path: Path) -> Log:
     """Open a file and return its first log.
 
-    Args:
-        path: File.
-
     Returns:
         The log, with columns of shape (rows,).
 
@@ -217,9 +214,6 @@ def _times(log: Log, sources: Sequence[ChannelSource], values: dict[str, Array])
 def run_curves(path: Path, machine: Machine) -> list[Curve]:
     """Return the curves of an imported run.
 
-    Args:
-        path: File of the run.
-
     Returns:
         Curve of each input and output of the machine, of shape (n,).
 
@@ -236,9 +230,6 @@ def run_curves(path: Path, machine: Machine) -> list[Curve]:
 def run_size(path: Path, machine: Machine) -> tuple[int, float]:
     """Return the size of an imported run.
 
-    Args:
-        path: File of the run.
-
     Returns:
         Number of rows, and duration, s.
 
@@ -252,7 +243,6 @@ def simulated_outputs(path: Path, machine: Machine) -> dict[str, Array]:
     """Simulate a machine over an imported run, as `hframe simulate` does.
 
     Args:
-        path: File of the run.
         machine: Machine that was recorded, as declared.
 
     Returns:

@@ -122,11 +122,7 @@ class Session:
         return self.path(LOGS, base)
 
     def remove_log(self, path: Path) -> None:
-        """Delete a log of the session.
-
-        Args:
-            path: File of the log.
-        """
+        """Delete a log of the session."""
         if path.parent == self.path(LOGS):
             path.unlink(missing_ok=True)
 
@@ -310,7 +306,6 @@ def evaluate_command(
     Args:
         controllers: Names of controllers or agents.
         machine: Machine, relative to the folder.
-        task: Name of the task.
         randomize: Name of the randomization.
         period: Control period, s, as text.
         episodes: Number of episodes.

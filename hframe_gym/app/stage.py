@@ -111,11 +111,7 @@ class Stage(ABC):
         """React to the user opening the stage."""
 
     def finished(self, job: Job) -> None:  # noqa: B027
-        """React to the end of a job of this stage.
-
-        Args:
-            job: The job.
-        """
+        """React to the end of a job of this stage."""
 
     @property
     def job(self) -> Job | None:
@@ -189,7 +185,6 @@ class Stage(ABC):
 
         Args:
             field: Element with a value.
-            attribute: Name of the attribute.
             read: Function from the element's value, which may be None, to that of the attribute.
         """
         field.bind_value_to(self, attribute, read).on_value_change(self.update_command)
@@ -219,11 +214,7 @@ class Stage(ABC):
             self.progressed(self.job)
 
     def progressed(self, job: Job) -> None:
-        """Show the output and the progress of a job of this stage.
-
-        Args:
-            job: The job.
-        """
+        """Show the output and the progress of a job of this stage."""
         self._show_output()
 
     def _show_output(self) -> None:
@@ -264,18 +255,13 @@ def banner(tone: Literal["good", "neutral", "warning"], title: str, text: str) -
     Args:
         tone: Color.
         title: First words, in this color; may be empty.
-        text: The sentence.
     """
     strong = f"<b>{html.escape(title)}</b> " if title else ""
     ui.html(strong + html.escape(text), sanitize=False).classes(f"hf-banner hf-{tone}").props("role=status")
 
 
 def heading(text: str) -> None:
-    """Show the heading of a part of a stage.
-
-    Args:
-        text: The heading.
-    """
+    """Show the heading of a part of a stage."""
     ui.html(f"<h2>{html.escape(text)}</h2>", sanitize=False)
 
 

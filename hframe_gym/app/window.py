@@ -58,11 +58,7 @@ class Window:
     """
 
     def __init__(self, session: Session) -> None:
-        """Create the window.
-
-        Args:
-            session: The session.
-        """
+        """Create the window."""
         self.session = session
         self.jobs: dict[str, Job] = {}
 
@@ -103,7 +99,6 @@ class Page:
         """Create the stages.
 
         Args:
-            window: The window.
             dark: Whether the display is dark.
         """
         self.window, self.session, self.dark = window, window.session, dark

@@ -72,9 +72,6 @@ def get_effect(name: str) -> Effect:
 def effect_sites(effect: Effect, machine: Machine) -> tuple[str, ...]:
     """Return the sites, the components of a machine, at which an identification tries an effect.
 
-    Args:
-        effect: Definition of the effect.
-
     Returns:
         Names of coordinates, drives, belts or sensor channels, depending on the kind of the effect. The word "drives",
         "belts" or "machine" stands for all of them at once; it precedes the names. Empty if the effect cannot act on

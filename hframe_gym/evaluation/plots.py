@@ -127,7 +127,6 @@ def episode_panels(name: str, episodes: Episodes, episode: int) -> list[Panel]:
 
     Args:
         name: Name of the controller and of the episode, for the captions.
-        episodes: Recorded episodes.
         episode: Index of the episode.
     """
     start, goal = 1e3 * episodes.position[episode, 0], 1e3 * episodes.goal[episode, -1]
@@ -253,7 +252,6 @@ def success_panel(title: str, success: Mapping[str, Mapping[str, float]]) -> Pan
     """Describe a bar chart for the scorecard: fraction of successful episodes by settling band and controller.
 
     Args:
-        title: Caption.
         success: By name of the controller, the fraction of successful episodes, 0 to 1, by name of the settling band.
     """
     texts = unit_of_scores(next(iter(success.values()))).band_texts

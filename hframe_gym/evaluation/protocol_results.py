@@ -381,9 +381,6 @@ def protocol_bounds(name: str) -> dict[str, Array]:
 
     They are times to settle within 0.2 mm; `benchmarks.protocol_bounds` computes them.
 
-    Args:
-        name: Name of the protocol.
-
     Returns:
         Times of two kinds, s, shape (draws,), NaN where unknown: `free`, for voltages that may change at any time, and
         `held`, for voltages that are constant over each control period. Empty for a protocol without such moves.

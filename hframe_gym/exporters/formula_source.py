@@ -107,7 +107,6 @@ def trace_formula(
     """Trace a function of the equations of motion.
 
     Args:
-        name: Name of the formula.
         comment: What it computes.
         inputs: Arguments.
         outputs: Results.

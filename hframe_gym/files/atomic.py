@@ -211,9 +211,6 @@ def remove_file(path: str | Path) -> None:
 
     Inside an `output_batch` of its folder, or of a folder above, the file disappears only at the end of the batch.
 
-    Args:
-        path: File to remove.
-
     Raises:
         OSError: If the file cannot be removed.
     """
@@ -233,9 +230,6 @@ def newest(path: str | Path) -> Path:
 
     A file that is written inside an `output_batch` does not appear under its name until the batch ends. Until then its
     content is in a temporary file.
-
-    Args:
-        path: Path of the file.
 
     Returns:
         Path of the temporary file, valid until the batch ends, if the present batch has written the file; else `path`.

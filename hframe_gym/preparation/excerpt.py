@@ -74,7 +74,6 @@ def describe_part(part: Dataset, data: Dataset) -> str:
     """Describe which part of the runs is used, for the log: "40000 of 300000 rows, of 5 of 5 runs".
 
     Args:
-        part: The part.
         data: All runs.
     """
     used, rows = (sum(len(run.time_s) for run in each.runs) for each in (part, data))

@@ -250,7 +250,6 @@ def saturation_ranges(
         recordings: All runs of the rig.
         machine: Machine as declared.
         noise: Standard deviations of the sensors' noise, m or rad, shape (sensors,).
-        criteria: Decision thresholds.
 
     Returns:
         Lower and upper end of the measuring range, m or rad, by channel of each saturating laser. For an end that the
@@ -332,7 +331,6 @@ def blank_saturated(
     Args:
         ranges: Lower and upper end of the measuring range by channel name, m or rad. Other channels are unchanged.
         noise: Standard deviations of the sensors' noise, m or rad, shape (sensors,).
-        criteria: Decision thresholds.
 
     Returns:
         Copy with measurements of shape (n, sensors), m or rad; the recording itself is not changed.

@@ -28,7 +28,6 @@ class WrongUnitError(InputError):
 
         Args:
             problem: File, columns and values, in words.
-            channels: Names of the channels.
             unit: Unit that the values probably have: "mm", "um", "deg", "ms" or "%".
         """
         question = "is the column" if len(channels) == 1 else "are they"

@@ -115,7 +115,6 @@ def derivative_source(source: KernelSource, *, friction: str) -> str:
     """Write the source text of the derivatives of a kernel, for the module `lane_compiler`.
 
     Args:
-        source: The kernel.
         friction: Derivative of static friction, see `derivatives.Friction`.
 
     Returns:

@@ -106,7 +106,6 @@ def quantity(name: str, unit: str, largest: float) -> Callable[[Callable[[StepRe
     """Register a function of `StepRecord` as a quantity, as a decorator.
 
     Args:
-        name: Name of the quantity.
         unit: Its unit, "1" if dimensionless.
         largest: Typical largest value, in the unit.
 

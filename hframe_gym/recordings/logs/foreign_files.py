@@ -44,7 +44,6 @@ def is_json(path: Path, start: bytes) -> bool:
     """Return whether a file is JSON, by its name or its beginning.
 
     Args:
-        path: File of the log.
         start: Its first bytes.
 
     Returns:

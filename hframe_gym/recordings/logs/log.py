@@ -188,7 +188,6 @@ def vector_log(path: Path, vectors: Sequence[tuple[str, NDArray[np.float64]]], k
     """Build the log of a file whose vectors have all been read, such as an archive of arrays.
 
     Args:
-        path: The file.
         vectors: Names and values, shape (rows,) each, of possibly different lengths.
         kind: What the file is, for the user.
 

@@ -72,7 +72,6 @@ class LogConverter:
         integrated to positions, from 0 on. Time stamps count from midnight before the session's first time stamp.
 
         Args:
-            log: Opened log.
             sources: Columns of the times and of each channel with their conversion to SI, from `map_columns`.
             progress: Called with the number of bytes read since the last call.
 

@@ -100,9 +100,6 @@ def log_name(path: Path) -> str:
 def run_of(log: Log) -> str:
     """Return the name of the run to which a log is converted, before it is cut.
 
-    Args:
-        log: Opened log.
-
     Returns:
         The name.
     """

@@ -96,9 +96,6 @@ def compressed_by_name(
 def import_command(path: Path) -> str:
     """Return the command line `hframe import ...` that converts a log to recordings, for error messages.
 
-    Args:
-        path: File of the log.
-
     Returns:
         Command line for a shell; its output folder RUNS is a placeholder.
     """
@@ -109,8 +106,6 @@ def cell_text(path: Path, name: str, column: Array, row: int) -> str:
     """Return a text that names the place of a value in a file and the value itself, for messages.
 
     Args:
-        path: File of the column.
-        name: Name of the column.
         column: Values of the column, in its unit, shape (rows,).
         row: Index of the row, from 0.
 
@@ -210,9 +205,6 @@ def _read_csv(
 def open_parquet(path: Path) -> Any:
     """Open a Parquet file without reading its columns, and check that they are not too large for the memory.
 
-    Args:
-        path: File to open.
-
     Returns:
         File, an object of the class `pyarrow.parquet.ParquetFile`.
 
@@ -247,7 +239,6 @@ def read_parquet_column(path: Path, file: Any, name: str, max_rows: int | None =
     Args:
         path: Path of the file, for messages.
         file: The file as opened by `open_parquet` (a `pyarrow.parquet.ParquetFile`).
-        name: Name of the column.
         max_rows: Number of rows after which reading stops. Default: all rows are read.
 
     Returns:

@@ -179,7 +179,6 @@ def open_text(path: Path, encoding: str) -> Iterator[tuple[TextIO, BinaryIO]]:
     """Open a text file, possibly compressed by gzip; errors while it is read are raised as InputError.
 
     Args:
-        path: File to open.
         encoding: Encoding of the text.
 
     Yields:

@@ -86,7 +86,6 @@ def require_extra(path: Path, what: str, extra: str, modules: Sequence[str], adv
     """Refuse a file whose reader is not installed.
 
     Args:
-        path: The file.
         what: Kind of the file in the plural, such as "HDF5 files".
         extra: Extra of this package that installs the reader.
         modules: Modules that the reader needs.

@@ -25,7 +25,6 @@ def vectors(name: str, value: Any) -> Iterator[tuple[str, NDArray[np.float64]]]:
     A matrix gives its columns if it has more rows than columns, else its rows.
 
     Args:
-        name: Name of the variable.
         value: Array, structure (dictionary) or cell array (list) as SciPy returns it.
 
     Yields:
@@ -96,7 +95,6 @@ def hdf5_content(path: str, limit: int) -> dict[str, Any]:
     """Read an HDF5 file, which MATLAB files of version 7.3 are.
 
     Args:
-        path: File to read.
         limit: Largest accepted size of all arrays together, bytes.
 
     Returns:

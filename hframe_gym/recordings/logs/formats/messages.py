@@ -65,7 +65,6 @@ def log_of_messages(path: Path, source: MessageSource, remarks: tuple[str, ...])
     """Open the numbers in the messages of a file as a log.
 
     Args:
-        path: The file.
         source: Its messages.
         remarks: Sentences for the user about the file.
 

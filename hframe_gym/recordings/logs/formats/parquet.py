@@ -48,7 +48,6 @@ class ParquetTable:
         """Open a file and determine its columns.
 
         Args:
-            path: The file.
             item_names: Names of the items of lists by column, which are used if their number fits: "state.elbow".
 
         Raises:

@@ -65,7 +65,6 @@ class RosDecoder:
         """Return the function that decodes messages of a type.
 
         Args:
-            name: Name of the type.
             ros1: Whether the messages are serialized as in ROS 1.
 
         Returns:

@@ -66,7 +66,6 @@ def log_of_tables(path: Path, tables: Sequence[TimedTable], remarks: tuple[str, 
     When columns are read, the rows of each table are sorted by time, and of rows with equal times the last is kept.
 
     Args:
-        path: File of the log.
         tables: Tables with at least one column.
         remarks: Sentences for the user about the file.
         part: Name of the part of the file; "" if it is one log.
