@@ -16,11 +16,13 @@ from ...preparation.dataset import Dataset
 from ..fit.estimation import Fit
 from ..fit.model_error import bandwidths_for, continue_fit, likelihood_loss, polish
 from ..judge.criteria import SelectionCriteria
+from ..judge.effect import parameter_at_limit
 from ..judge.rival import RivalEvidence, chance_margin, equal_margin, is_likelier, preference, remains_rival
+from ..judge.trial import gives_way
 from ..predict.prediction import SEARCH_BANDWIDTH
 from ..propose.candidates import is_required
 from ..propose.trial_fits import fit_in_place_of
-from .significance import long_run_variance
+from .significance import long_run_variance, parameter_values
 
 
 def simplest_first(trials: list[Fit], current: Fit, criteria: SelectionCriteria) -> list[Fit]:
@@ -44,6 +46,30 @@ def simplest_first(trials: list[Fit], current: Fit, criteria: SelectionCriteria)
         return ranked
     limit = ranked[0].cost + equal_margin(current.error, ranked[0].cost, criteria)
     return sorted(ranked, key=lambda trial: preference(trial.cost, len(trial.free), limit))
+
+
+def limited_last(trials: list[Fit], current: Fit) -> list[Fit]:
+    """Move trial fits with a parameter at the limit of its range behind others that explain about as much.
+
+    Args:
+        trials: Fits with one candidate effect each.
+        current: Fit without a candidate, with the same observer bandwidth (rad/s) as the trials.
+
+    Returns:
+        The same fits; those that give way to others (`judge.trial.gives_way`) at the end.
+    """
+
+    def at_limit(trial: Fit) -> bool:
+        return bool(parameter_at_limit(parameter_values(trial.machine.effects[-1].label, trial)))
+
+    limited = [at_limit(trial) for trial in trials]
+    others = (current.cost - t.cost for t, is_limited in zip(trials, limited, strict=True) if not is_limited)
+    best_other = max(others, default=0.0)
+    last = [
+        is_limited and gives_way(current.cost - t.cost, best_other)
+        for t, is_limited in zip(trials, limited, strict=True)
+    ]
+    return [t for is_last in (False, True) for t, moved in zip(trials, last, strict=True) if moved == is_last]
 
 
 def selected_first(best: Fit, trials: list[Fit]) -> list[Fit]:

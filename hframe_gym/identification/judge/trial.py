@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from .criteria import SelectionCriteria
-from .error import FitError, nearly_explains, only_noise_is_left, unexplained_fraction
+from .error import CLEAR, FitError, nearly_explains, only_noise_is_left, unexplained_fraction
 
 
 def least_promise(enough: float, count: float, best: float, criteria: SelectionCriteria) -> float:
@@ -140,6 +140,19 @@ def is_worth_convergence(
         criteria: Decision threshold `min_trial_gain`.
     """
     return not (error.cost - trial.cost) / error.count < criteria.min_trial_gain * enough
+
+
+def gives_way(gain: float, best_other: float) -> bool:
+    """Return whether a trial with a parameter at the limit of its range gives way to trials without.
+
+    Its effect would be removed at the end (`judge.effect.parameter_at_limit`); until then, it would hide what another
+    effect explains. While other effects are missing, a right effect may be at a limit as well, and explain far more.
+
+    Args:
+        gain: Reduction of the cost by the trial, dimensionless.
+        best_other: Largest reduction by a trial without such a parameter, dimensionless.
+    """
+    return CLEAR * best_other > gain
 
 
 def search_goes_on(

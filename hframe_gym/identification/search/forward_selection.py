@@ -19,6 +19,7 @@ from ..budget import note_error
 from ..evidence.rivals import (
     close_rivals,
     compare_rivals,
+    limited_last,
     rivals_in_combination,
     selected_first,
     simplest_first,
@@ -196,7 +197,7 @@ class EffectSearch:
         structures = structures and self._worth_structures(current, trials)
         if structures:
             trials += structural_trial_fits(current, trials, data, enough, criteria)
-        trials = simplest_first(trials, current, criteria)
+        trials = limited_last(simplest_first(trials, current, criteria), current)
         best = self._best(current, trials, enough)
         if best is None:
             if structures:

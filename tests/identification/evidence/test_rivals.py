@@ -26,6 +26,16 @@ def test_of_trials_as_good_as_the_best_the_simplest_comes_first() -> None:
     assert rivals.simplest_first([], current, CRITERIA) == []
 
 
+def test_an_effect_at_the_limit_of_its_range_is_tried_after_others_that_explain_half_as_much() -> None:
+    (size,) = PUSH.definition.parameters
+    limited = fit_with(PUSH.with_parameters({size.name: size.upper}), chi2=1.0)
+    half, less = fit_with(DRAG, chi2=1.4), fit_with(SPRING, chi2=1.6)
+    current = fit_with(chi2=2.0)
+    assert rivals.limited_last([limited, half, less], current) == [half, less, limited]
+    assert rivals.limited_last([limited, less], current) == [limited, less]
+    assert rivals.limited_last([limited], current) == [limited]
+
+
 def test_rivals_are_other_effects_within_the_margin() -> None:
     current, best = fit_with(chi2=2.0), fit_with(PUSH, chi2=1.0)
     close, same, far = fit_with(DRAG, chi2=1.029), fit_with(PUSH, chi2=1.001), fit_with(SPRING, chi2=1.031)

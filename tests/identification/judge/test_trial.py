@@ -121,6 +121,11 @@ def test_a_trial_must_reach_half_of_the_gain(chi2: float, worth: bool) -> None:
     assert judge.is_worth_convergence(error(2.9), error(chi2), 0.9, CRITERIA) == worth
 
 
+@pytest.mark.parametrize(("other", "later"), [(51.0, True), (49.0, False), (0.0, False)])
+def test_an_effect_at_a_limit_gives_way_unless_it_explains_twice_as_much(other: float, later: bool) -> None:
+    assert judge.gives_way(100.0, other) == later
+
+
 @pytest.mark.parametrize(
     ("chi2", "selected", "goes_on"), [(1.02, 0, True), (1.005, 0, False), (9.0, 4, True), (9.0, 5, False)]
 )
