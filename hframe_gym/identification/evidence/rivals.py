@@ -56,20 +56,18 @@ def limited_last(trials: list[Fit], current: Fit) -> list[Fit]:
         current: Fit without a candidate, with the same observer bandwidth (rad/s) as the trials.
 
     Returns:
-        The same fits; those that give way to others (`judge.trial.gives_way`) at the end.
+        The same fits, with k parameters each (`theta`, shape (k,)); those that give way to others
+        (`judge.trial.gives_way`) are the last ones.
     """
+
+    def gain(trial: Fit) -> float:
+        return current.cost - trial.cost
 
     def at_limit(trial: Fit) -> bool:
         return bool(parameter_at_limit(parameter_values(trial.machine.effects[-1].label, trial)))
 
-    limited = [at_limit(trial) for trial in trials]
-    others = (current.cost - t.cost for t, is_limited in zip(trials, limited, strict=True) if not is_limited)
-    best_other = max(others, default=0.0)
-    last = [
-        is_limited and gives_way(current.cost - t.cost, best_other)
-        for t, is_limited in zip(trials, limited, strict=True)
-    ]
-    return [t for is_last in (False, True) for t, moved in zip(trials, last, strict=True) if moved == is_last]
+    best_other = max((gain(trial) for trial in trials if not at_limit(trial)), default=0.0)
+    return sorted(trials, key=lambda trial: at_limit(trial) and gives_way(gain(trial), best_other))
 
 
 def selected_first(best: Fit, trials: list[Fit]) -> list[Fit]:
