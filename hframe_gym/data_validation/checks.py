@@ -12,7 +12,7 @@ from ..machine import Machine
 from ..preparation.dataset import runs_that_should_move, turns_steadily
 from ..preparation.division import copied_runs
 from ..preparation.initial_rest import InitialRest, without_moving_start
-from ..preparation.sensor_properties import noise_at_rest
+from ..preparation.sensor_noise import noise_at_rest
 from ..preparation.usable import usable_run
 from ..recordings import (
     Recording,

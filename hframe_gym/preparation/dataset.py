@@ -10,7 +10,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -214,38 +214,26 @@ class Dataset:
         """Largest number of changes of the voltages from one row to the next; 1 if they are held."""
         return max(run.updates for run in self.runs)
 
+    def with_all_runs(self, **changes: Any) -> Dataset:
+        """Return a copy with the same changes of fields in all runs, see `PreparedRecording`."""
+        runs = (dataclasses.replace(run, **changes) for run in self.runs)
+        return dataclasses.replace(self, runs=tuple(runs))
+
     def with_updates(self, updates: int) -> Dataset:
-        """Return a copy in which the voltages of all runs change several times from one row to the next.
-
-        Args:
-            updates: Number of changes, see `PreparedRecording`.
-
-        Returns:
-            Copy; the voltages in the rows, V, shape (n, drives), are the same.
-        """
-        return dataclasses.replace(
-            self, runs=tuple(dataclasses.replace(run, updates=updates) for run in self.runs)
-        )
+        """Return a copy in which all voltages change a number of times from one row to the next."""
+        return self.with_all_runs(updates=updates)
 
     def without_voltage_errors(self) -> Dataset:
-        """Return a copy without errors of interpolated voltages; measurements, shape (n, sensors), are the same."""
-        runs = (dataclasses.replace(run, voltage_errors=None) for run in self.runs)
-        return dataclasses.replace(self, runs=tuple(runs))
+        """Return a copy without errors of interpolated voltages."""
+        return self.with_all_runs(voltage_errors=None)
 
     def with_held_voltages(self) -> Dataset:
-        """Return a copy whose voltages are held from row to row; measurements, shape (n, sensors), are the same."""
-        runs = (dataclasses.replace(run, updates=1, voltage_errors=None) for run in self.runs)
-        return dataclasses.replace(self, runs=tuple(runs))
+        """Return a copy whose voltages are held from row to row."""
+        return self.with_all_runs(updates=1, voltage_errors=None)
 
     def with_interpolation(self, interpolation: Interpolation) -> Dataset:
-        """Return a copy whose voltages are interpolated in another way; measurements, shape (n, sensors), are the same.
-
-        Args:
-            interpolation: How voltages that change between the rows are interpolated.
-        """
-        return dataclasses.replace(
-            self, runs=tuple(dataclasses.replace(run, interpolation=interpolation) for run in self.runs)
-        )
+        """Return a copy whose voltages, where they change between the rows, are interpolated in another way."""
+        return self.with_all_runs(interpolation=interpolation)
 
     def with_observers(self, observers: Mapping[str, RunObserver]) -> Dataset:
         """Return a copy in which some runs are predicted with another observer.

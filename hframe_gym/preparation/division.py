@@ -11,7 +11,7 @@ from ..arrays import Array
 from ..errors import InputError, suggestion
 from ..recordings import Recording, peak_to_peak
 from .dataset import MIN_ROWS
-from .sensor_properties import difference_noise
+from .sensor_noise import difference_noise
 
 _GROUP_SIZE = 4  # One of four runs is held out.
 # Relative difference of spectra below which runs count as alike. Repetitions with other random numbers differ by 0.05

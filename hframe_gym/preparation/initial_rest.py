@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from ..machine import Machine, Sensor
 from ..recordings import Recording, peak_to_peak
-from .sensor_properties import difference_noise, sensor_quantum
+from .sensor_noise import difference_noise, sensor_quantum
 
 _MIN_ROWS = 16  # Fewer rows are not divided into blocks, and do not show rest after motion.
 # Medians of blocks of rows are compared: a median of 10 ms has little noise, and eight of them show a trend.

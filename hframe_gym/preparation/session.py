@@ -12,19 +12,14 @@ from ..arrays import Array
 from ..errors import merge_run_warnings
 from ..machine import Machine
 from ..recordings import Recording, fill_gaps
+from .clock_jitter import clock_jitter, noise_by_row
 from .criteria import SaturationCriteria
 from .dataset import Dataset, PreparedRecording
 from .drive_signs import turned_coordinates, with_turned
 from .initial_state import measured_initial_state
 from .rest_measurement import estimate_initial_state
-from .sensor_properties import (
-    Range,
-    clock_jitter,
-    independent_values,
-    noise_by_row,
-    sensor_noise,
-    sensor_quantum,
-)
+from .saturation import Range
+from .sensor_noise import independent_values, sensor_noise, sensor_quantum
 from .sensor_zeros import free_zeros, has_zero
 from .session_zeros import common_encoder_zeros
 from .usable import usable_run, without_saturated, without_unknown_voltage

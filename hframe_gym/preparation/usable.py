@@ -29,7 +29,8 @@ from .criteria import SaturationCriteria
 from .initial_rest import InitialRest, count_resting_rows, initial_rest, without_moving_start
 from .input_noise import without_input_noise
 from .regular_clock import with_regular_clock
-from .sensor_properties import Range, blank_saturated, saturation_ranges, sensor_noise, sensor_quantum
+from .saturation import Range, blank_saturated, saturation_ranges
+from .sensor_noise import sensor_noise, sensor_quantum
 
 
 class UsableRun(NamedTuple):

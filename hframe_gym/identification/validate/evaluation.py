@@ -14,7 +14,7 @@ import numpy as np
 from ...machine import Machine
 from ...preparation.dataset import Dataset, PreparedRecording
 from ...preparation.excerpt import representative_part
-from ...preparation.sensor_properties import Range, range_effects
+from ...preparation.saturation import Range, range_effects
 from ...preparation.session import Session, with_all_measurements
 from ..evidence.tried_effects import ConsideredEffect, Log, SelectedEffect
 from ..fit.channel_errors import errors_by_channel

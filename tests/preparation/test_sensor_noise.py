@@ -1,26 +1,14 @@
-"""Tests of what the recordings alone show of the sensors: quantum, noise, ends of the range."""
+"""Tests of what the recordings alone show of the sensors: quantum and noise."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from hframe_gym.identification import SelectionCriteria
-from hframe_gym.machine import Machine
-from hframe_gym.preparation.sensor_properties import (
-    blank_saturated,
-    clock_jitter,
-    independent_values,
-    range_effects,
-    saturation_ranges,
-    sensor_noise,
-    sensor_quantum,
-)
-from hframe_gym.recordings import Recording, quantum_of
+from hframe_gym.preparation.sensor_noise import independent_values, sensor_noise, sensor_quantum
+from hframe_gym.recordings import quantum_of
 
 QUANTUM = 5.2e-4
-RADIUS = 0.0194
-NOISE = np.array([1.5e-4, 1.5e-4, 2e-5, 2e-5])
 
 
 def moving_encoder(seed: int, rows: int = 3000) -> np.ndarray:
@@ -115,91 +103,9 @@ def test_the_steps_of_a_coarse_encoder_in_motion_are_no_noise(speed: float) -> N
     assert sensor_noise(small, [1], 0.2, 0.0) == pytest.approx(0.2 * np.hypot(0.5, 1 / np.sqrt(12)), rel=0.1)
 
 
-def moving_runs(limit: float = 0.1) -> list[Recording]:
-    """Return runs along x in which the laser saturates at a limit, m."""
-    rng = np.random.default_rng(4)
-    time_s = np.arange(2000) * 1e-3
-    recordings = []
-    for k in range(2):
-        x = 0.16 * np.sin(2 * np.pi * time_s * (1 + k))
-        turned = np.round(np.column_stack([-x, x]) / RADIUS / QUANTUM) * QUANTUM
-        lasers = np.column_stack([np.minimum(x, limit), np.zeros_like(x)]) + rng.normal(0, 2e-5, (2000, 2))
-        recordings.append(Recording(f"run_{k}", time_s, np.zeros((2000, 2)), np.hstack([turned, lasers])))
-    return recordings
-
-
-def test_a_saturated_laser_is_recognized_and_blanked(hframe: Machine) -> None:
-    recordings = moving_runs()
-    ranges = saturation_ranges(recordings, hframe, NOISE, SelectionCriteria())
-    assert list(ranges) == ["x_m"]
-    low, high = ranges["x_m"]
-    assert high == pytest.approx(0.1, abs=2e-5)
-    assert low < -1.0
-    blanked = blank_saturated(recordings[0], ranges, hframe, NOISE, SelectionCriteria())
-    saturated = recordings[0].outputs[:, 2] > 0.1 - 80e-6
-    assert np.isnan(blanked.outputs[saturated, 2]).all()
-    assert np.isfinite(blanked.outputs[~saturated, 2]).mean() > 0.99
-    [effect] = range_effects(ranges)
-    assert effect.label == "sensor_range@x_m"
-    assert effect.parameters["high"] == high
-
-
-def test_a_saturated_measurement_with_unusual_noise_is_blanked_as_well(hframe: Machine) -> None:
-    """Of 20,000 saturated measurements, one is expected beyond 4 standard deviations of the noise."""
-    outputs = np.zeros((6, 4))
-    outputs[:, 2] = [0.0999, 0.1, 0.1 - 5 * 2e-5, 0.1, 0.1 - 9 * 2e-5, 0.1 - 5 * 2e-5]
-    run = Recording("run", np.arange(6) * 1e-3, np.zeros((6, 2)), outputs)
-    blanked = blank_saturated(run, {"x_m": (-1.0, 0.1)}, hframe, NOISE, SelectionCriteria())
-    np.testing.assert_array_equal(np.isnan(blanked.outputs[:, 2]), [True, True, True, True, False, False])
-
-
-def test_a_coordinate_that_rests_is_not_saturated(hframe: Machine) -> None:
-    """One motor that rests while the other drives the stage is normal."""
-    assert saturation_ranges(moving_runs(limit=1.0), hframe, NOISE, SelectionCriteria()) == {}
-
-
-def test_the_thresholds_of_saturation_can_be_set(hframe: Machine) -> None:
-    strict = SelectionCriteria(min_saturated_fraction=0.9)
-    assert saturation_ranges(moving_runs(), hframe, NOISE, strict) == {}
-
-
-@pytest.mark.parametrize("jitter", [0.0, 20e-6])
-def test_clock_jitter_is_estimated_from_fast_motion(jitter: float) -> None:
-    rng = np.random.default_rng(0)
-    time_s = np.arange(2000) * 1e-3
-    late = time_s + rng.normal(0.0, jitter, 2000) if jitter else time_s
-    channel = 8.0 * np.sin(9.0 * late) + rng.normal(0.0, 0.15e-3, 2000)
-    assert clock_jitter([time_s], [channel], 0.15e-3) == pytest.approx(jitter, rel=0.15)
-
-
-def test_the_steps_of_a_coarse_encoder_are_no_clock_jitter() -> None:
-    time_s = np.arange(3000) * 1e-3
-    channel = np.rint(450.0 * time_s + 10 * np.sin(time_s)) * 0.2  # about 0.45 steps per row
-    assert clock_jitter([time_s], [channel], 0.2 / np.sqrt(12)) == 0.0
-
-
-def test_a_vibration_is_no_clock_jitter() -> None:
-    time_s = np.arange(2000) * 1e-3
-    channel = 8.0 * np.sin(9.0 * time_s) + 1e-3 * np.sin(2 * np.pi * 60.0 * time_s)
-    channel += np.random.default_rng(0).normal(0.0, 0.15e-3, 2000)
-    assert clock_jitter([time_s], [channel], 0.15e-3) == 0.0
-
-
 def test_noise_of_a_slow_sensor_comes_from_its_measurements() -> None:
     """A sensor that measures in every fifth row has no third differences between neighboring rows."""
     rng = np.random.default_rng(0)
     values = np.full(5000, np.nan)
     values[::5] = rng.normal(0.0, 20e-6, 1000)
     assert sensor_noise([values], [1], 0.0, 0.0) == pytest.approx(20e-6, rel=0.2)
-
-
-def test_a_jitter_of_more_than_half_a_period_is_none() -> None:
-    """A sensor that keeps each value for four rows deviates from a smooth motion by several periods times the speed."""
-    time_s = np.arange(2000) * 1e-3
-    held = np.sin(8.0 * time_s)[np.arange(2000) // 4 * 4]
-    assert clock_jitter([time_s], [held], 1e-5) == 0.0
-    late = time_s + np.random.default_rng(0).uniform(-0.5e-3, 0.5e-3, 2000)
-    assert clock_jitter([time_s], [np.sin(8.0 * late)], 1e-5) == pytest.approx(
-        1e-3 / np.sqrt(12),
-        rel=0.2,  # the median of squares is that of a normal distribution
-    )

@@ -1,0 +1,151 @@
+"""Find sensors that saturate, blank their measurements there, and describe their ranges as effects."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from ..arrays import Array
+from ..effects import EFFECTS
+from ..effects.sensor_range import UNLIMITED
+from ..machine import AppliedEffect, Machine
+from ..recordings import Recording
+from .criteria import SaturationCriteria
+
+Range = tuple[float, float]
+
+
+def saturation_ranges(
+    recordings: Sequence[Recording], machine: Machine, noise: Array, criteria: SaturationCriteria
+) -> dict[str, Range]:
+    """Find the lasers that saturate: they stay at the end of their measuring range while the machine moves.
+
+    A laser is a sensor with a fixed zero. It saturates at its largest (or smallest) measurement if two conditions hold,
+    whose thresholds are those of the default `criteria`: at least 1 % of all rows are within 8 standard deviations of
+    the noise from this measurement, and by the encoders, the laser's coordinate moves in these rows by at least 300
+    standard deviations of the laser's noise. Without belts or encoders, nothing is found.
+
+    Args:
+        recordings: All runs of the rig.
+        machine: Machine as declared.
+        noise: Standard deviations of the sensors' noise, m or rad, shape (sensors,).
+
+    Returns:
+        Lower and upper end of the measuring range, m or rad, by channel of each saturating laser. For an end that the
+        laser never reached, -10 or +10 times the largest magnitude of its measurements. Empty if none saturates.
+    """
+    ranges: dict[str, Range] = {}
+    positions_by_run = [_positions_from_encoders(r, machine) for r in recordings]
+    for j, sensor in enumerate(machine.sensors):
+        if not sensor.fixed:
+            continue
+        i = machine.coordinate_names.index(sensor.coordinate)
+        channel = [r.outputs[:, j] for r in recordings]
+        motion = [positions[:, i] for positions in positions_by_run]
+        ends = [_end(channel, motion, float(noise[j]), sign, 1.0, criteria) for sign in (-1.0, 1.0)]
+        # A sensor that saturates at one end probably does so at the other as well; less evidence suffices there.
+        if any(end is not None for end in ends):
+            factor = criteria.second_end_factor
+            ends = [_end(channel, motion, float(noise[j]), sign, factor, criteria) for sign in (-1.0, 1.0)]
+            far = UNLIMITED * max(float(np.nanmax(np.abs(values), initial=0.0)) for values in channel)
+            low, high = (
+                sign * far if end is None else end for sign, end in zip((-1.0, 1.0), ends, strict=True)
+            )
+            ranges[sensor.channel] = (low, high)
+    return ranges
+
+
+def _positions_from_encoders(recording: Recording, machine: Machine) -> Array:
+    """Return the displacements (n, coordinates) since the first row by the encoders, with unstretched belts."""
+    encoders = [j for j, sensor in enumerate(machine.sensors) if sensor.incremental]
+    count = len(machine.coordinates)
+    if not encoders or not machine.belts:
+        return np.full((len(recording.time_s), count), np.nan)
+    extension = machine.belt_matrix
+    rows = np.vstack([machine.sensor_matrix[encoders], extension])
+    angles = recording.outputs[:, encoders] - recording.outputs[0, encoders]
+    measured = np.hstack([angles, np.zeros((len(angles), len(extension)))])
+    return np.asarray(np.linalg.lstsq(rows, measured.T, rcond=None)[0].T)
+
+
+def _end(
+    channel: Sequence[Array],
+    motion: Sequence[Array],
+    noise: float,
+    sign: float,
+    factor: float,
+    criteria: SaturationCriteria,
+) -> float | None:
+    """Return where a sensor saturates at the upper (sign 1) or lower end (-1), or None; `factor` scales thresholds."""
+    outward = sign * np.concatenate(channel)
+    if not np.isfinite(outward).any():
+        return None
+    outermost = outward > float(np.nanmax(outward)) - criteria.saturation_band * noise
+    if outermost.mean() < factor * criteria.min_saturated_fraction:
+        return None
+    distance, first = 0.0, 0
+    for positions in motion:
+        saturated = positions[outermost[first : first + len(positions)]]
+        first += len(positions)
+        if len(saturated) and np.isfinite(saturated).all():
+            distance = max(distance, float(np.ptp(saturated)))
+    if distance < factor * criteria.min_saturated_travel * noise:
+        return None
+    return sign * float(np.median(outward[outermost]))
+
+
+def blank_saturated(
+    recording: Recording,
+    ranges: Mapping[str, Range],
+    machine: Machine,
+    noise: Array,
+    criteria: SaturationCriteria,
+) -> Recording:
+    """Copy a recording, with NaN in place of saturated measurements.
+
+    A measurement is saturated if it lies beyond an end of the sensor's range, or inside the range but closer to an end
+    than 4 standard deviations of the noise (half of `criteria.saturation_band`). Beside a saturated row, 8 count
+    instead of 4: of many saturated measurements, noise puts some further inside the range.
+
+    Args:
+        ranges: Lower and upper end of the measuring range by channel name, m or rad. Other channels are unchanged.
+        noise: Standard deviations of the sensors' noise, m or rad, shape (sensors,).
+
+    Returns:
+        Copy with measurements of shape (n, sensors), m or rad; the recording itself is not changed.
+    """
+    outputs = recording.outputs.copy()
+    for channel, (low, high) in ranges.items():
+        j = machine.output_channels.index(channel)
+        band = criteria.saturation_band * noise[j]
+        # Distance from the nearer end, m; NaN: missing.
+        inside = np.minimum(high - outputs[:, j], outputs[:, j] - low)
+        saturated = inside < band / 2
+        beside = np.append(saturated[1:], False) | np.insert(saturated[:-1], 0, False)
+        outputs[saturated | (beside & (inside < band)), j] = np.nan
+    return dataclasses.replace(recording, outputs=outputs)
+
+
+def range_effects(
+    ranges: Mapping[str, Range], selected: Sequence[AppliedEffect] = ()
+) -> tuple[AppliedEffect, ...]:
+    """Convert the ranges of saturated sensors to effects ``sensor_range``, which limit the measurements of a machine.
+
+    Args:
+        ranges: Lower and upper end of the measuring range by channel name, m or rad.
+        selected: Effects that the search selected. If one of them is the ``sensor_range`` of the same sensor, the
+            intersection of both ranges is used.
+
+    Returns:
+        One effect per channel in `ranges`, with the parameters `low` and `high`, m or rad.
+    """
+    effects = []
+    for channel, (low, high) in ranges.items():
+        for e in selected:
+            if e.site == channel and (limits := e.measuring_range):
+                low, high = max(low, limits[0]), min(high, limits[1])
+        # Ranges may be disjoint.
+        effects.append(EFFECTS["sensor_range"].at(channel, low=low, high=max(low, high)))
+    return tuple(effects)

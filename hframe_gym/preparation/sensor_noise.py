@@ -1,0 +1,141 @@
+"""Estimate quantum (quantization step) and noise of the sensors from the recordings alone."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.signal import savgol_coeffs, savgol_filter
+
+from ..arrays import Array
+from ..recordings import quantum_of
+
+_CURVE_ROWS = 21  # Measurements of a curve; in slow motion, they extend over several quanta.
+_ROUNDING_ACCURACY = 1.2  # Rounding alone is estimated up to 12 % too large.
+_MIN_RESTING_ROWS = 30  # Fewer resting rows of all runs together do not give a standard deviation.
+_REST_S = 0.02  # s; a quantized measurement that stays the same for longer shows that the sensor is at rest
+
+
+def sensor_quantum(channel: Sequence[Array], resolution: float) -> float:
+    """Estimate the quantization step (quantum) of a sensor from all runs.
+
+    Args:
+        channel: Measurements of the sensor by run, m or rad, each of shape (n,), NaN where not measured.
+        resolution: Declared resolution, m or rad, 0 if there is none.
+
+    Returns:
+        Median of the quanta of single runs, m or rad. A run without a recognizable quantum, such as one with hardly any
+        motion, does not count. If no run has one, the declared resolution.
+    """
+    quanta = [quantum for quantum in map(quantum_of, channel) if quantum > 0.0]
+    return float(np.median(quanta)) if quanta else resolution
+
+
+def noise_at_rest(channel: Sequence[Array], resting_rows: Sequence[int]) -> float | None:
+    """Estimate the standard deviation of a sensor's noise from the rows at rest of all runs.
+
+    Args:
+        channel: Measurements of the sensor by run, m or rad, each of shape (n,), NaN where not measured.
+        resting_rows: Number of rows at rest at the beginning of each run.
+
+    Returns:
+        Standard deviation around a parabola in each run, m or rad. Runs with fewer than 10 measurements at rest do not
+        count. None if the others have too few (about 30 in total).
+    """
+    squares, rows = 0.0, 0
+    for values, count in zip(channel, resting_rows, strict=True):
+        at_rest = values[:count][np.isfinite(values[:count])]
+        if len(at_rest) >= 10:
+            # A parabola is subtracted: a machine that still creeps to rest is not noise. Equal values have none.
+            grid = np.linspace(-1.0, 1.0, len(at_rest))
+            parabola = (
+                np.polynomial.polynomial.polyfit(grid, at_rest, 2) if np.ptp(at_rest) > 0.0 else at_rest[:1]
+            )
+            squares += float(np.sum((at_rest - np.polynomial.polynomial.polyval(grid, parabola)) ** 2))
+            rows += len(at_rest) - 3
+    return float(np.sqrt(squares / rows)) if rows >= _MIN_RESTING_ROWS else None
+
+
+def sensor_noise(
+    channel: Sequence[Array], resting_rows: Sequence[int], quantum: float, declared: float
+) -> float:
+    """Estimate the standard deviation of a sensor's noise.
+
+    The first of these sources that is available is used: about 30 measurements at rest, the declared value, third
+    differences of the measurements. For a sensor with a quantum, deviations from a smooth curve (Savitzky and Golay
+    1964) replace the third differences if they are smaller. The result is at least the rounding error,
+    quantum / sqrt(12).
+
+    Args:
+        channel: Measurements of the sensor by run, m or rad, each of shape (n,), NaN where not measured.
+        resting_rows: Number of rows at rest at the beginning of each run.
+        quantum: Quantization step of the sensor, m or rad; 0 if there is none.
+        declared: Declared standard deviation, m or rad; 0 where none is declared.
+
+    Returns:
+        Standard deviation, m or rad.
+    """
+    rounding, at_rest = quantum / np.sqrt(12), noise_at_rest(channel, resting_rows)
+    # An estimate of zero (a channel without any noise) is replaced by the declared value or by the differences.
+    if at_rest is not None:
+        return max(at_rest, rounding) or declared or difference_noise(channel)
+    if declared or not quantum:
+        return max(rounding, declared or difference_noise(channel))
+    # The steps of slow motion raise third differences, vibration the deviations from a curve; noise raises both.
+    estimate = min(difference_noise(channel), _curve_noise(channel))
+    return estimate if estimate > _ROUNDING_ACCURACY * rounding else rounding
+
+
+def difference_noise(channel: Sequence[Array]) -> float:
+    """Estimate a sensor's noise from third differences, which smooth motion hardly changes (von Neumann 1941).
+
+    Args:
+        channel: Measurements of the sensor by run, m or rad, each of shape (n,), NaN where not measured.
+
+    Returns:
+        Standard deviation, m or rad, at least 1e-12. If no run has four measurements, 1.
+    """
+    differences = np.concatenate([np.diff(values[np.isfinite(values)], n=3) for values in channel])
+    if len(differences) == 0:
+        return 1.0
+    return max(1.4826 * float(np.median(np.abs(differences))) / np.sqrt(20.0), 1e-12)
+
+
+def _curve_noise(channel: Sequence[Array]) -> float:
+    """Estimate a sensor's noise, m or rad, from deviations from parabolas over 21 measurements; infinite if fewer."""
+    runs = [values[np.isfinite(values)] for values in channel]
+    deviations = [v - savgol_filter(v, _CURVE_ROWS, 2) for v in runs if len(v) >= _CURVE_ROWS]
+    if not deviations:
+        return math.inf
+    removed = savgol_coeffs(_CURVE_ROWS, 2)[_CURVE_ROWS // 2]  # fraction of the noise's variance
+    return float(np.sqrt(np.mean(np.concatenate(deviations) ** 2) / (1.0 - removed)))
+
+
+def independent_values(time_s: Array, outputs: Array, quanta: Array) -> Array:
+    """Return the weight of each measurement in a sum of squared errors: 1 if its error is independent.
+
+    While a quantized sensor is at rest, all its measurements are equal and have the same rounding error. They count as
+    one measurement: N equal measurements have the weight 1 / N each. A sensor counts as at rest if its measurement
+    stays the same for more than 20 ms.
+
+    Args:
+        time_s: Sample times, s, shape (n,).
+        outputs: Measurements, m or rad, shape (n, sensors), NaN where not measured.
+        quanta: Quantization steps of the sensors, m or rad, 0 where there is none, shape (sensors,).
+
+    Returns:
+        Weights, dimensionless, shape (n, sensors): 0 where not measured; 1 / N at rest; 1 in motion, and for sensors
+        without quantization.
+    """
+    counts = np.isfinite(outputs).astype(float)
+    for values, count, quantum in zip(outputs.T, counts.T, quanta, strict=True):
+        rows = np.flatnonzero(count)
+        if quantum <= 0.0 or len(rows) == 0:
+            continue
+        changes = np.flatnonzero(np.abs(np.diff(values[rows])) > quantum / 2) + 1
+        first = np.concatenate([[0], changes])  # row of each sequence of equal measurements
+        lengths = np.diff(np.append(first, len(rows)))
+        durations = time_s[rows[first + lengths - 1]] - time_s[rows[first]]
+        count[rows] = np.repeat(np.where(durations > _REST_S, 1.0 / lengths, 1.0), lengths)
+    return counts
