@@ -120,17 +120,6 @@ def test_vague_properties(returns: str, docstring: str, vague: list[str]) -> Non
     assert _function(source).vague_entries() == vague
 
 
-def test_results_that_hold_arrays_state_a_shape(tmp_path: Path) -> None:
-    for folder in ("hframe_gym", "agents"):
-        (tmp_path / folder).mkdir()
-    (tmp_path / "hframe_gym" / "motion.py").write_text(
-        "class Motion(NamedTuple):\n    positions: Array\n"
-        "def move() -> list[Motion]:\n    '''Move.\n\n    Returns:\n        Motions, m.\n    '''\n"
-        "def stop() -> Motion | None:\n    '''Stop.\n\n    Returns:\n        Motion, m, shape (n,).\n    '''\n"
-    )
-    assert measure(tmp_path).vague == ["hframe_gym/motion.py:3: move (Returns: no shape)"]
-
-
 def test_measures_of_a_small_tree(tmp_path: Path) -> None:
     for folder in ("hframe_gym/effects", "agents"):
         (tmp_path / folder).mkdir(parents=True)

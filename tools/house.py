@@ -14,7 +14,7 @@ import argparse
 import ast
 import re
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -79,15 +79,13 @@ class Function:
         exempt = self._decorators().intersection(_EXEMPT_DECORATORS)
         return not exempt and ast.get_docstring(self.node) is None
 
-    def vague_entries(self, array_classes: Collection[str] = ()) -> list[str]:
+    def vague_entries(self) -> list[str]:
         """Return the arrays of which the docstring states no shape, and the numbers of which it states no unit.
 
         An argument is described by its entry in Args, or in the text if this names it in backquotes; a result by
         Returns, or by the text. A named type of `hframe_gym.arrays` states shape and unit itself. An override may
-        leave out what the base class says. A parameter without annotation counts as an array.
-
-        Args:
-            array_classes: Names of classes that hold arrays; a result of such a class must state a shape as well.
+        leave out what the base class says. A parameter without annotation counts as an array. A class that holds arrays
+        states their shapes once, at its attributes.
 
         Returns:
             Entries as "name: no shape", "name: no unit", "name: not described"; the name is "Returns" for results and
@@ -112,8 +110,6 @@ class Function:
         if result or not self.inherits:
             annotated = ast.unparse(self.node.returns) if self.node.returns else "Array"
             is_array = _ARRAY.search(annotated) is not None
-            if "cli" not in self.path.parts:  # the tables of the command line are those of rich
-                is_array |= not set(re.findall(r"\w+", annotated)).isdisjoint(array_classes)
             vague += _lacking("Returns", result or prose, is_array and "shape (" not in prose, annotated)
         return vague
 
@@ -140,7 +136,6 @@ class House:
         module_lines: Number of lines by module, all of them.
         docstring_lines: Number of lines of docstrings by module.
         functions: All functions and methods that are not nested in a function.
-        array_classes: Names of the classes with a field that is annotated as an array.
         bases: Names of the base classes by name of the class.
     """
 
@@ -151,7 +146,6 @@ class House:
     module_lines: dict[Path, int] = field(default_factory=dict)
     docstring_lines: Counter[Path] = field(default_factory=Counter)
     functions: list[Function] = field(default_factory=list)
-    array_classes: set[str] = field(default_factory=set)
     bases: dict[str, set[str]] = field(default_factory=dict)
 
     @property
@@ -193,9 +187,7 @@ class House:
     def vague(self) -> list[str]:
         """Return the public functions' arrays without a shape and floats without a unit, "path:line: name (...)"."""
         return [
-            f"{_where(f)} ({', '.join(vague)})"
-            for f in self.public_functions
-            if (vague := f.vague_entries(self.array_classes))
+            f"{_where(f)} ({', '.join(vague)})" for f in self.public_functions if (vague := f.vague_entries())
         ]
 
     @property
@@ -245,11 +237,6 @@ def measure(root: Path = ROOT) -> House:
                 house.docstring_lines[relative] += (node.body[0].end_lineno or 0) - node.body[0].lineno + 1
             if isinstance(node, ast.ClassDef):
                 house.bases.setdefault(node.name, set()).update(map(_last_name, node.bases))
-                fields = [
-                    ast.unparse(item.annotation) for item in node.body if isinstance(item, ast.AnnAssign)
-                ]
-                if any(map(_ARRAY.search, fields)):
-                    house.array_classes.add(node.name)
     return house
 
 

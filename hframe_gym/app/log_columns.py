@@ -159,9 +159,6 @@ def view_log(path: Path, machine: Machine, options: MappingOptions) -> LogView:
 def open_log(path: Path) -> Log:
     """Open a file and return its first log.
 
-    Returns:
-        The log, with columns of shape (rows,).
-
     Raises:
         InputError: If the file cannot be read.
     """
@@ -215,7 +212,7 @@ def run_curves(path: Path, machine: Machine) -> list[Curve]:
     """Return the curves of an imported run.
 
     Returns:
-        Curve of each input and output of the machine, of shape (n,).
+        Curve of each input and output of the machine.
 
     Raises:
         InputError: If the run is faulty.

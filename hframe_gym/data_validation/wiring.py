@@ -128,7 +128,7 @@ def declared_balance(data: Dataset, machine: Machine) -> Balance | None:
         machine: Declared machine.
 
     Returns:
-        The balance, with ratios of shape (motions,); None if the sensors determine no motion.
+        The balance; None if the sensors determine no motion.
     """
     declared, _ = _explanations(data.runs, machine)
     return declared.balance if declared else None

@@ -90,7 +90,7 @@ def linear_model(machine: Machine, position: Array) -> LinearModel:
             (coordinates,).
 
     Returns:
-        The model, in SI, with names and units; A has the shape (states, states).
+        The model, in SI, with names and units.
     """
     n, drives = len(machine.coordinates), len(machine.drives)
     nominal = linearize(machine, position)

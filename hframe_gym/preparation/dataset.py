@@ -117,9 +117,6 @@ class PreparedRecording:
 
         Args:
             count: Number of rows to keep.
-
-        Returns:
-            Copy with the first rows: measurements of shape (count, sensors).
         """
         series = ("time_s", "inputs", "outputs", "noise", "weights", "dropped")
         return dataclasses.replace(self, **{name: getattr(self, name)[:count] for name in series})
@@ -188,7 +185,7 @@ class Dataset:
             names: Names of the runs to keep; names of other runs are ignored.
 
         Returns:
-            Copy with these runs (measurements of shape (n, sensors) each), in the order of this data set.
+            Copy with these runs, in the order of this data set.
         """
         return dataclasses.replace(self, runs=tuple(run for run in self.runs if run.name in names))
 
@@ -197,9 +194,6 @@ class Dataset:
 
         Args:
             inputs: Voltages, V, shape (n, drives), by the name of the run.
-
-        Returns:
-            Copy; measurements, shape (n, sensors), are the same.
         """
         runs = (dataclasses.replace(run, inputs=inputs[run.name]) for run in self.runs)
         return dataclasses.replace(self, runs=tuple(runs))
@@ -242,8 +236,8 @@ class Dataset:
             observers: Observer, bandwidth in rad/s, by the name of the run.
 
         Returns:
-            Copy; runs that are not named are unchanged. Those named have its bandwidth, and their noise, m or rad,
-            shape (n, sensors), is larger by the square root of its `inflation`.
+            Copy; runs that are not named are unchanged. The noise of those named is larger by the square root of its
+            `inflation`.
         """
 
         def with_observer(run: PreparedRecording, observer: RunObserver) -> PreparedRecording:
@@ -269,11 +263,7 @@ class Dataset:
         )
 
     def single_runs(self) -> tuple[Dataset, ...]:
-        """Divide the data set into data sets of one run each.
-
-        Returns:
-            Data set of each run, in the order of the runs; measurements have the shape (n, sensors).
-        """
+        """Divide the data set into data sets of one run each."""
         return tuple(dataclasses.replace(self, runs=(run,)) for run in self.runs)
 
     def measured_values(self, sensor: int) -> Array:
@@ -294,7 +284,7 @@ def with_known_positions(data: Dataset) -> tuple[Dataset, tuple[str, ...]]:
     """Copy a data set without the runs that cannot be simulated, because no sensor determines the initial position.
 
     Returns:
-        data: Copy without these runs (measurements of shape (n, sensors) each). If no run would remain, all are kept.
+        data: Copy without these runs. If no run would remain, all are kept.
         warnings: One sentence that names the runs that were left out; empty if none was.
     """
     located = [run.name for run in data.runs if run.initial.position_known]

@@ -86,9 +86,6 @@ class EncoderZeros(NamedTuple):
 
         Args:
             sensors: True for the sensors whose zeros become unknown, shape (sensors,).
-
-        Returns:
-            Copy with the zeros, m or rad, shape (sensors,); NaN for these sensors.
         """
         return EncoderZeros(np.where(sensors, np.nan, self.values), np.where(sensors, 0.0, self.spread))
 

@@ -57,8 +57,8 @@ def representative_part(
         every_run: Whether a part of each run is kept, however short.
 
     Returns:
-        The runs, or parts of them with the same names and a measured start of their own, measurements of shape
-        (n, sensors) each; `data` itself if it is not larger, or if the errors of its voltages are known by row.
+        The runs, or parts of them with the same names and a measured start; `data` itself if it is not larger, or if
+        the errors of its voltages are known by row.
     """
     per_row = _OF_ROW + _OF_MOTION * data.period / NORMAL_PERIOD
     rows = round(size / (len(machine.coordinates) * per_row))

@@ -69,8 +69,7 @@ def force_balance(
         input_correction: Matrix that multiplies the inputs, shape (drives, drives).
 
     Returns:
-        The balance, with ratios of shape (motions,). None if the sensors determine no motion, nothing moves, or too
-        few rows are measured.
+        The balance. None if the sensors determine no motion, nothing moves, or too few rows are measured.
     """
     R = leading_motions(machine)
     if not len(R) or not windows:

@@ -129,8 +129,8 @@ def without_moving_start(
         rest: Rest at the beginning of the run. Default: `initial_rest` finds it.
 
     Returns:
-        Copy whose measurements, m or rad, shape (n, sensors), are NaN before the rest. The same object if the run
-        begins at rest or the machine does not come to rest before the first input.
+        Copy whose measurements are NaN before the rest. The same object if the run begins at rest or the machine does
+        not come to rest before the first input.
     """
     first = (rest or initial_rest(recording, machine)).first
     if not first:

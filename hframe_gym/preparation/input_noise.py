@@ -113,7 +113,7 @@ def without_input_noise(
         log: Called with a line of text for each input that is averaged.
 
     Returns:
-        Copy with averaged inputs, shape (n, drives); the same object if none is noisy.
+        Copy with averaged inputs; the same object if none is noisy.
     """
     noisy = noisy_inputs(recording, machine)
     period = float(np.median(np.diff(recording.time_s))) if len(recording.time_s) > 1 else np.inf

@@ -112,9 +112,6 @@ def blank_saturated(
     Args:
         ranges: Lower and upper end of the measuring range by channel name, m or rad. Other channels are unchanged.
         noise: Standard deviations of the sensors' noise, m or rad, shape (sensors,).
-
-    Returns:
-        Copy with measurements of shape (n, sensors), m or rad; the recording itself is not changed.
     """
     outputs = recording.outputs.copy()
     for channel, (low, high) in ranges.items():

@@ -166,7 +166,7 @@ def with_all_measurements(data: Dataset, recordings: Sequence[Recording]) -> Dat
         recordings: The same recordings with these measurements; recordings of other runs are ignored.
 
     Returns:
-        Copy with all measurements minus the estimated zeros of the sensors, m or rad, shape (n, sensors).
+        Copy with all measurements minus the estimated zeros of the sensors.
 
     Raises:
         KeyError: If the recording of a run is missing.

@@ -79,9 +79,8 @@ def refine_encoder_zeros(data: Dataset, machine: Machine, reference: Dataset | N
             Default: `data`.
 
     Returns:
-        Copy with corrected initial states and measurements, m or rad, shape (n, sensors) for each run. `data` itself if
-        the machine has no effects that change anything at rest, or if no encoder with a known zero resolves the stretch
-        of the belts.
+        Copy with corrected initial states and measurements. `data` itself if the machine has no effects that change
+        anything at rest, or if no encoder with a known zero resolves the stretch of the belts.
     """
     runs = (data if reference is None else reference).runs
     if not machine.effects or not any(np.any(run.initial.resolves_stretch) for run in data.runs):

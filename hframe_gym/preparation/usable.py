@@ -93,7 +93,7 @@ def without_unknown_voltage(recording: Recording, machine: Machine) -> Recording
         recording: Run (times, s; voltages, V; measurements in the units of the channels).
 
     Returns:
-        Copy with measurements of shape (n, sensors); the same object if no sensor measures such a quantity.
+        Copy; the same object if no sensor measures such a quantity.
     """
     felt = np.array([s.sensed.jumps for s in machine.sensors], np.bool_)
     if not felt.any():
@@ -156,7 +156,7 @@ def without_saturated(
         criteria: Thresholds by which a sensor at the end of its range is recognized.
 
     Returns:
-        Copies of the runs, measurements of shape (n, sensors), and the ranges found, m or rad, by channel.
+        Copies of the runs, and the ranges found, m or rad, by channel.
     """
     found = saturation_ranges(recordings, machine, noise, criteria)
     ends = found | machine.measuring_ranges

@@ -61,8 +61,8 @@ def fill_gaps(recording: Recording) -> Recording:
         recording: Run with or without gaps.
 
     Returns:
-        Copy (measurements of shape (n, sensors)) in which each gap is divided into equal time steps of about the median
-        sampling period; the same object if there are no gaps.
+        Copy in which each gap is divided into equal time steps of about the median sampling period; the same object if
+        there are no gaps.
     """
     time_s = recording.time_s
     steps = np.diff(time_s)
@@ -251,7 +251,7 @@ def without_outliers(recording: Recording, machine: Machine) -> Recording:
     `outlier_mask` describes the criterion.
 
     Returns:
-        Copy with measurements, m or rad, shape (n, sensors); the same object if there are no outliers.
+        Copy; the same object if there are no outliers.
     """
     mask = outlier_mask(recording, machine)
     if not mask.any():
@@ -274,7 +274,7 @@ def without_silences(recording: Recording) -> Recording:
         recording: Run without outliers: a connection that returns may send its late values all at once.
 
     Returns:
-        Copy with measurements, m or rad, shape (n, sensors); the same object if no sensor was silent.
+        Copy; the same object if no sensor was silent.
     """
     outputs = recording.outputs.copy()
     for values in outputs.T:

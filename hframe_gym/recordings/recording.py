@@ -92,8 +92,7 @@ def load_recordings(
         log: Called with a line of text for each run of which only the beginning is used.
 
     Returns:
-        The runs in the order of their file names: times, s, shape (n,), voltages, V, shape (n, drives), and
-        measurements, m or rad, shape (n, sensors).
+        The runs in the order of their file names.
 
     Raises:
         InputError: If the folder does not exist or has no recordings, two files are the same run (`a.csv`,
@@ -146,8 +145,7 @@ def load_recording(
         max_rows: Number of rows after which reading stops. Default: all rows are read.
 
     Returns:
-        The run: times, s, shape (n,), inputs, V, shape (n, drives), in the order of the machine's drives, and outputs,
-        m or rad, shape (n, sensors), in the order of its sensors.
+        The run, with inputs and outputs in the order of the machine's drives and sensors.
 
     Raises:
         InputError: If the file cannot be read or has no rows, columns are missing or unknown, a time or input is empty

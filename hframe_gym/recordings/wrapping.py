@@ -204,7 +204,7 @@ def without_wraps(recording: Recording, machine: Machine) -> Recording:
         machine: Machine with the sensors.
 
     Returns:
-        Copy with measurements, m or rad, shape (n, sensors); the same object if no output wraps.
+        Copy; the same object if no output wraps.
     """
     wraps = wraps_of(recording, machine)
     if not wraps:

@@ -39,7 +39,7 @@ def simplest_first(trials: list[Fit], current: Fit, criteria: SelectionCriteria)
 
     Returns:
         The same fits in a new order. First those that are as good as the best one: the fit with the fewest free
-        parameters first (with k of them, its `theta` has shape (k,)). Then all others: lowest cost first.
+        parameters first. Then all others: lowest cost first.
     """
     ranked = sorted(trials, key=lambda trial: trial.cost)
     if not ranked:
@@ -78,7 +78,7 @@ def selected_first(best: Fit, trials: list[Fit]) -> list[Fit]:
         trials: Fits with one candidate effect each.
 
     Returns:
-        New list: `best`, then the trials with other effects, each with k parameters (`theta`, shape (k,)).
+        New list: `best`, then the trials with other effects.
     """
     label = best.machine.effects[-1].label
     return [best, *(t for t in trials if t.machine.effects[-1].label != label)]

@@ -141,7 +141,7 @@ def fit(
         longest_step: Maximum integration step, s.
 
     Returns:
-        Fit where the search ended: theta, shape (k,), and cost without the penalty, infinite if the machine diverges.
+        Fit where the search ended; its cost is that without the penalty, infinite if the machine diverges.
     """
     theta = np.zeros(len(free)) if theta is None else np.array(theta, float)
     steps: tuple[float | None, ...] = (None, DIFFERENCE_STEP) if any(f.switch for f in free) else (None,)

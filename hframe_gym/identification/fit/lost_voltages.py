@@ -55,7 +55,7 @@ def with_lost_voltages(
         log: Called with a line of text if voltages are estimated.
 
     Returns:
-        The fitted and the held-out runs, with estimated voltages, V, shape (n, drives) for each run.
+        The fitted and the held-out runs, with estimated voltages.
     """
     unknown = _count_unknown_rows(data) + _count_unknown_rows(held_out)
     if not unknown:
@@ -82,8 +82,8 @@ def estimate_lost_voltages(data: Dataset, machine: Machine) -> Dataset:
         machine: Fitted machine with its effects.
 
     Returns:
-        Copy with corrected voltages, V, shape (n, drives) for each run; `data` itself if no row was dropped, or if all
-        voltages change by at most 5 % of the standard deviation of the interpolation error.
+        Copy with corrected voltages; `data` itself if no row was dropped, or if all voltages change by at most 5 % of
+        the standard deviation of the interpolation error.
     """
     if not any(run.dropped.any() for run in data.runs):
         return data

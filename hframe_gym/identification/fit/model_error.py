@@ -107,7 +107,7 @@ def narrower_observer(fitted: Fit, data: Dataset) -> Fit:
         data: Runs that were fitted.
 
     Returns:
-        Fit, bandwidth in rad/s (after 3: 0, a simulation): machine, parameters (theta, shape (k,)), cost (chi-squared).
+        Fit at the next bandwidth; after 3 rad/s, in a simulation.
     """
     bandwidths = bandwidths_for(data)
     return continue_fit(fitted, data, bandwidths[bandwidths.index(fitted.bandwidth) + 1])
@@ -142,7 +142,7 @@ def fit_with_model_error(fitted: Fit, data: Dataset) -> Fit:
         data: Runs that were fitted.
 
     Returns:
-        Most likely fit: machine, k parameters (theta, dimensionless, shape (k,)), cost (chi-squared), bandwidth, rad/s.
+        Most likely fit.
     """
     if has_narrowest_observer(fitted, data):
         return fitted
@@ -166,9 +166,6 @@ def polish(fitted: Fit, data: Dataset) -> Fit:
     Args:
         fitted: Fit to refine; its parameters are the starting values.
         data: Runs that were fitted.
-
-    Returns:
-        Fit, bandwidth as in `fitted`: machine, k parameters (theta, dimensionless, shape (k,)), cost (chi-squared).
     """
     model, accurate = (fitted.machine, fitted.free, data, fitted.bandwidth), _CONVERGED_COST / data.count
     return fit(*model, theta=fitted.theta, tolerance=accurate, longest_step=POLISH_STEP)
@@ -187,9 +184,9 @@ def refined_in_simulation(fitted: Fit, data: Dataset) -> Fit:
         data: Runs that were fitted.
 
     Returns:
-        Fit of the same k parameters (theta, shape (k,)) with the smallest product, polished. `fitted` itself if no fit
-        is better, if it is a simulation, if there is only one run, which permits no cross-validation, or if the errors
-        of interpolated voltages add up in a simulation.
+        Fit of the same parameters with the smallest product, polished. `fitted` itself if no fit is better, if it is a
+        simulation, if there is only one run, which permits no cross-validation, or if the errors of interpolated
+        voltages add up in a simulation.
     """
     if fitted.bandwidth == SIMULATION or len(data.runs) == 1 or data.has_voltage_errors:
         return fitted
@@ -310,7 +307,7 @@ def continue_fit(fitted: Fit, data: Dataset, bandwidth: float) -> Fit:
         bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
 
     Returns:
-        Fit with the step of `search_step`: machine, k parameters theta, dimensionless, shape (k,), cost (chi-squared).
+        Fit with the step of `search_step`.
     """
     step = search_step(bandwidth)
     return fit(fitted.machine, fitted.free, data, bandwidth, theta=fitted.theta, longest_step=step)

@@ -81,7 +81,7 @@ class PlainFit:
 
     @property
     def simulated(self) -> Fit:
-        """The fit with all terms (theta, shape (k,))."""
+        """The fit with all terms."""
         return self.fits[-1]
 
     @property
@@ -200,7 +200,7 @@ def equally_weighted(data: Dataset) -> Dataset:
 
     Returns:
         Copy in which the cost of a simulation is the sum of its squared errors, in units of each sensor's noise, as in
-        an evaluation. Its runs have equal weights and noise, m or rad, shape (n, sensors).
+        an evaluation.
     """
     runs = (
         dataclasses.replace(
@@ -221,7 +221,7 @@ def refined_equally(fitted: Fit, data: Dataset) -> Fit:
         data: Runs to fit.
 
     Returns:
-        Fit of the same k parameters (theta, shape (k,)); `fitted` itself if it has the smaller error.
+        Fit of the same parameters; `fitted` itself if it has the smaller error.
     """
     equal = equally_weighted(data)
     refined = fit(fitted.machine, fitted.free, equal, SIMULATION, theta=fitted.theta)

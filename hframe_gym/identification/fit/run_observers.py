@@ -41,9 +41,9 @@ def fit_run_by_run(fitted: Fit, data: Dataset) -> Fit:
         data: Runs that were fitted.
 
     Returns:
-        Fit of the same k parameters (theta, shape (k,)). Its `observers` are those of the runs; its cost is that at the
-        bandwidth of `fitted`, rad/s. `fitted` itself if no other observers are more likely, or if the new machine
-        simulates the runs much worse: mean square errors that are, in the geometric mean over the runs, doubled.
+        Fit of the same parameters. Its `observers` are those of the runs; its cost is that at the bandwidth of
+        `fitted`. `fitted` itself if no other observers are more likely, or if the new machine simulates the runs much
+        worse: mean square errors that are, in the geometric mean over the runs, doubled.
     """
     best, chosen = fitted, dict.fromkeys((run.name for run in data.runs), RunObserver(fitted.bandwidth))
     least = _loss(fitted, data, chosen)

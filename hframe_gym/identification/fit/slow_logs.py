@@ -249,9 +249,8 @@ def fit_slow_log(fitted: Fit, data: Dataset) -> Fit:
         data: Runs that were fitted (times, voltages, measurements, SI).
 
     Returns:
-        Fit with the same observer: machine, k parameters theta, dimensionless, shape (k,), cost (chi-squared).
-        `fitted` itself if the voltages are held, the rows are too few, the steps do not converge, or instruments do not
-        simulate left-out runs better (`judge.observer.simulates_runs_best`).
+        Fit with the same observer. `fitted` itself if the voltages are held, the rows are too few, the steps do not
+        converge, or instruments do not simulate left-out runs better (`judge.observer.simulates_runs_best`).
     """
     if not data.has_voltage_errors or not _are_enough(data):
         return fitted

@@ -106,8 +106,8 @@ def refine_dataset(data: Dataset, machine: Machine, reference: Dataset | None = 
             Default: `data`.
 
     Returns:
-        Copy with corrected initial states, voltages, V, shape (n, drives), and measurements minus the corrected zeros,
-        m or rad, shape (n, sensors), of each run; `data` itself if there is nothing to correct.
+        Copy with corrected initial states, voltages, and measurements minus the corrected zeros; `data` itself if there
+        is nothing to correct.
     """
     estimated = any(len(run.initial.start_offset) for run in data.runs)  # by another machine
     data = estimate_lost_voltages(refine_encoder_zeros(data, machine, reference), machine)
@@ -133,7 +133,7 @@ def refine_starts(data: Dataset, machine: Machine) -> Dataset:
         machine: Fitted machine with its effects.
 
     Returns:
-        Copy in which `InitialState.start_offset`, shape (2 * coordinates,), of each run is estimated.
+        Copy in which `InitialState.start_offset` of each run is estimated.
     """
 
     def refined(run: PreparedRecording) -> PreparedRecording:
@@ -153,13 +153,12 @@ def with_probable_starts(current: Fit, data: Dataset, criteria: SelectionCriteri
     If the assumed starts are wrong, what they leave of the error looks like a missing effect.
 
     Args:
-        current: Fit of a machine (k parameters theta, dimensionless, shape (k,)).
+        current: Fit of a machine.
         data: Runs that were fitted.
         criteria: Decision thresholds of `judge.error.required_gain`.
 
     Returns:
-        fit: New fit, theta of shape (k,), to runs that start from their most probable states; `current` if these
-            explain little.
+        fit: New fit, to runs that start from their most probable states; `current` if these explain little.
         data: Data set with these initial states; `data` if they explain little.
     """
     if only_noise_is_left(current.error, criteria) or not math.isfinite(current.cost):

@@ -92,10 +92,6 @@ class NormalEquations:
 
         Args:
             parts: Normal equations of at least one run.
-
-        Returns:
-            Normal equations with the sums over the runs of J^T J, shape (k, k), J^T r, shape (k,), all other products,
-            and `count`, dimensionless.
         """
         fields = [list(values) for values in zip(*(vars(part).values() for part in parts), strict=True)]
         return cls(*(sum(values[1:], start=values[0]) for values in fields))

@@ -271,7 +271,7 @@ def fit_with_candidate(current: Fit, scored: ScoredCandidate, scales: TypicalSca
         scales: Typical forces, speeds and travels on this machine; the new parameters are multiples of them.
 
     Returns:
-        Fit, not fully converged: machine, k parameters (theta, dimensionless, shape (k,)) and cost (chi-squared).
+        Fit, not fully converged.
     """
     machine = current.machine.with_effects(scored.candidate.applied(scored.amounts))
     added = effect_parameters(machine.effects[-1], machine, scales)
@@ -327,9 +327,6 @@ def converge(trial: Fit, data: Dataset, *, thorough: bool) -> Fit:
         thorough: Whether to fit a second time, from the declared parameters of the machine and the present parameters
             of its effects, and to return the better fit. Otherwise the fit may end in a local minimum, because the
             parameters of the trial were first fitted without the effect and compensate for it.
-
-    Returns:
-        Converged fit: machine, k parameters (theta, dimensionless, shape (k,)) and cost (chi-squared).
     """
     reset = dataclasses.replace(trial, theta=_declared_theta(trial))
     fits = [continue_fit(start, data, trial.bandwidth) for start in ([trial, reset] if thorough else [trial])]
@@ -348,8 +345,7 @@ def without_effect(
         thorough: Whether to fit until convergence with the shortest integration step, rather than with few iterations.
 
     Returns:
-        Fit: machine, k parameters (theta, dimensionless, shape (k,)) and cost (chi-squared). None if another effect
-        requires the effect or acts on a coordinate that the effect adds.
+        The fit; None if another effect requires the effect or acts on a coordinate that the effect adds.
     """
     if is_required(current.machine, label):
         return None

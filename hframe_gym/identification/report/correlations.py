@@ -93,8 +93,7 @@ def error_correlations(
         inputs: Names of the input channels.
 
     Returns:
-        Correlations of each channel, shape (k,); none for a channel with less than 50 measurements,
-        or if the result has no inputs.
+        Correlations of each channel; none for a channel with less than 50 measurements, or if the result has no inputs.
     """
     if f"{run}/inputs" not in curves:
         return []

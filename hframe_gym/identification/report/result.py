@@ -235,7 +235,7 @@ class IdentificationResult:
 
     @property
     def evaluations(self) -> dict[str, ModelEvaluation]:
-        """The machines with their errors, shape (n, sensors) per run, by the names "declared", "before" and "after"."""
+        """The machines with their errors, by the names "declared", "before" and "after"."""
         return dict(zip(STAGES, (self.declared, self.before, self.after), strict=True))
 
     @property

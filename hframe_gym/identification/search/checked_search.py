@@ -76,7 +76,7 @@ class CheckedOutcome(NamedTuple):
 
     @property
     def agreeing(self) -> Dataset:
-        """Held-out runs that do not contradict the machine, measurements of shape (n, sensors) each."""
+        """Held-out runs that do not contradict the machine."""
         return self.held_out.with_runs([r.name for r in self.held_out.runs if r.name not in self.differing])
 
     @property
@@ -92,7 +92,7 @@ class CheckedOutcome(NamedTuple):
         return self._replace(outcome=self.outcome._replace(contradiction=name))
 
     def comparable_runs(self, all_runs: Dataset) -> Dataset:
-        """Return the fitted, held-out and contradictory runs, measurements of shape (n, sensors).
+        """Return the fitted, held-out and contradictory runs.
 
         Args:
             all_runs: All runs, prepared for a fit. Those that were used replace them, with estimated voltages.

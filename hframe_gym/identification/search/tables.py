@@ -117,7 +117,7 @@ def proposed_tables(site: str, ranked: Sequence[tuple[float, Table]], count: int
         count: Number of tables that are proposed because they explain most.
 
     Returns:
-        The tables in this order, with knots of shape (KNOTS,) each.
+        The tables in this order.
     """
     tables = [table for _, table in sorted(ranked, key=lambda entry: -entry[0])]
     best, remaining = tables[:count], tables[count:]
@@ -274,7 +274,7 @@ def fit_with_moved_knots(fitted: Fit, data: Dataset, criteria: SelectionCriteria
             reduce it in cross-validation.
 
     Returns:
-        Fit of the same k parameters (theta, dimensionless, shape (k,)), with the knots of the last confirmed move.
+        Fit of the same parameters, with the knots of the last confirmed move.
     """
     fitted = continue_fit(fitted, data, fitted.bandwidth)
     for label in [e.label for e in fitted.machine.effects if e.definition.family == TABLE_FAMILY]:

@@ -57,7 +57,7 @@ class HeldOutTest:
 
     @cached_property
     def validation(self) -> Dataset:
-        """Held-out runs with all measurements of shape (n, sensors), also those at the ends of sensors' ranges."""
+        """Held-out runs with all measurements, also those at the ends of sensors' ranges."""
         return with_all_measurements(self.held_out, self.session.usable)
 
     def errors(self, machine: Machine, fitted: Dataset) -> ModelEvaluation:
@@ -68,7 +68,7 @@ class HeldOutTest:
             fitted: Runs that it was fitted to.
 
         Returns:
-            The machine with its errors, m or rad, shape (n, sensors) for each run; see `evaluate_held_out`.
+            The machine with its errors, see `evaluate_held_out`.
         """
         return evaluate_held_out(machine, fitted, self.validation, self.session.recordings, self.criteria)
 

@@ -235,8 +235,8 @@ def descriptions(
         budget: Budget of the identification, of which the searches may use at most 30 % and 45 s.
 
     Yields:
-        Fit with one more effect in simulation (theta, shape (k,)), and the labels of all; nothing if no effect passes
-        the tests, or after the budget.
+        Fit with one more effect in simulation, and the labels of all; nothing if no effect passes the tests, or after
+        the budget.
     """
     part = parts_of(start.machine).description
     if not budget.has_time(part):

@@ -71,7 +71,7 @@ def log_of_tables(path: Path, tables: Sequence[TimedTable], remarks: tuple[str, 
         part: Name of the part of the file; "" if it is one log.
 
     Returns:
-        Log whose columns, of the shape (rows,), state their times.
+        Log whose columns state their times.
     """
     times = [LogColumn(f"time of {table.name}", "time", "s", table.time_kind) for table in tables]
     columns: list[LogColumn] = []

@@ -50,9 +50,6 @@ def open_text_table(
         remarks: Sentences for the user, before those about the table.
         unit_of: Function from the name of a column to its unit, for columns whose unit the file does not state.
 
-    Returns:
-        Log with the table's columns, of the shape (rows,).
-
     Raises:
         InputError: If the file is empty, is not text, or has no table.
     """
