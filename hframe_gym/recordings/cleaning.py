@@ -216,7 +216,7 @@ def outlier_mask(recording: Recording, machine: Machine) -> Mask:
 
     The departure of a group of samples is its smallest distance from three straight lines: through the two samples
     before it, through the two after it, and between its neighbors. A kink or step of a real motion (end stop, Coulomb
-    friction) lies on one of these lines, so it is kept, and so are samples that lead from one neighbor to the other.
+    friction) lies on one of these lines, so it is kept, and so are samples of a move that begins or ends there.
     The departure of an outlier exceeds all of these: 12 times the median and 4 times the 98th percentile of the
     sensor's departures in this run; 8 times the noise; 4 times the resolution; and the distance that a change of speed
     explains. The first and the last measurement are outliers if the step to their neighbor exceeds 5 times the largest
@@ -310,23 +310,20 @@ def _goes_on(steps: Array, spans: Array, i: int) -> bool:
 def _isolated_samples(time_s: Array, values: Array, floor: float) -> Mask:
     """Return the mask of the outliers among the measured samples of one channel, shape (n,).
 
-    Short departures are removed first, so that a second one nearby does not spoil the scale of a longer one. What is
-    left of a group of wrong samples is found when its others have been removed.
+    Short departures are removed first, so that a second one nearby does not spoil the scale of a longer one.
 
     Args:
         time_s: Sample times, s, strictly increasing, shape (n,).
         values: Finite measurements, shape (n,).
         floor: Departure below which no sample is an outlier, in the unit of the values.
     """
-    outliers, before = np.zeros(len(values), np.bool_), -1
-    while np.count_nonzero(outliers) > before:
-        before = int(np.count_nonzero(outliers))
-        for length in range(1, _LONGEST_OUTLIER + 1):
-            kept = np.flatnonzero(~outliers)
-            if len(kept) < _MIN_SAMPLES:
-                break
-            for first in _isolated_segments(time_s[kept], values[kept], length, floor):
-                outliers[kept[first : first + length]] = True
+    outliers = np.zeros(len(values), np.bool_)
+    for length in range(1, _LONGEST_OUTLIER + 1):
+        kept = np.flatnonzero(~outliers)
+        if len(kept) < _MIN_SAMPLES:
+            break
+        for first in _isolated_segments(time_s[kept], values[kept], length, floor):
+            outliers[kept[first : first + length]] = True
     kept = np.flatnonzero(~outliers)
     for edge, neighbor in ((kept[0], kept[1]), (kept[-1], kept[-2])):
         regular = np.abs(np.diff(values[kept[1:-1]])).max(initial=0.0)
@@ -347,16 +344,28 @@ def _isolated_segments(time_s: Array, values: Array, length: int, floor: float) 
     isolated = [
         i
         for i in candidates
-        if not _passes(values[i + 1 : i + length + 3])
+        if not _begins_or_ends_move(values, i + 2, length, floor)
         and departures[i] > _SPEED_FACTOR * _speed_change(time_s, values, i + 2, length)
     ]
     return np.array(isolated, int) + 2  # two samples precede the first segment
 
 
-def _passes(values: Array) -> bool:
-    """Return whether samples lead from the first to the last one in one direction, as a move in a slow log does."""
-    steps = np.diff(values)
-    return bool(np.all(steps > 0.0) or np.all(steps < 0.0))
+def _begins_or_ends_move(values: Array, first: int, length: int, floor: float) -> bool:
+    """Return whether samples lead from one neighbor to the other where a sensor rests before or after them.
+
+    In a slow log, a move from rest to rest has a few samples.
+
+    Args:
+        values: Measurements, shape (n,).
+        first: Index of the segment's first sample.
+        length: Number of samples of the segment.
+        floor: Change below which a sensor rests, in the unit of the values.
+    """
+    steps = np.diff(values[first - 1 : first + length + 1])
+    if not (np.all(steps > 0.0) or np.all(steps < 0.0)):
+        return False
+    sides = values[max(first - _NEIGHBORS, 0) : first], values[first + length : first + length + _NEIGHBORS]
+    return any(len(side) > 1 and float(np.median(np.abs(np.diff(side)))) <= floor for side in sides)
 
 
 def _speed_change(time_s: Array, values: Array, first: int, length: int) -> float:
