@@ -60,7 +60,7 @@ class TextbookPID(FullStateController):
     def concern(self) -> str | None:
         """Return a warning if the sampled linear closed loop is unstable somewhere in the workspace.
 
-        Saturation, Coulomb friction and dead time are ignored.
+        Saturation, dead time, Coulomb friction and effects, which may damp the belts, are ignored.
         """
         n, axes = len(self.model.mass), len(self._axes)
         # Select the tool from the state.
@@ -78,8 +78,9 @@ class TextbookPID(FullStateController):
         if largest <= 1.0 + 1e-9:
             return None
         return (
-            f"textbook-pid is unstable on machine {self.machine.name!r} at a control period of {self.period:g} s "
-            f"(largest eigenvalue of the closed loop {largest:.2f}): its one-mass model ignores that the belts stretch"
+            f"textbook-pid is unstable on machine {self.machine.name!r} at a control period of {self.period:g} s, dry "
+            f"friction and effects left aside (largest eigenvalue of the closed loop {largest:.2f}): its one-mass model "
+            "ignores that the belts stretch"
         )
 
     @override

@@ -211,7 +211,11 @@ def _voltages(path: Path, columns: Mapping[str, Array], drive: Drive) -> Array:
     values = columns[drive.channel]
     if not DRIVE_KINDS.get(drive.kind).fraction:
         return values
-    refuse_rows(path, drive.channel, values, np.abs(values) > _LARGEST_DUTY, "is no duty cycle from -1 to 1")
+    reason = (
+        "is no duty cycle from -1 to 1; state the factor of counts or percent: hframe import LOGS --out RUNS "
+        f"--scale {drive.channel}=FACTOR, 0.01 for percent, 0.0039216 where 255 is the full duty cycle"
+    )
+    refuse_rows(path, drive.channel, values, np.abs(values) > _LARGEST_DUTY, reason)
     return values * columns.get(drive.supply, np.asarray(drive.rated_voltage))
 
 

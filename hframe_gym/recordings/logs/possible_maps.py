@@ -117,7 +117,10 @@ def _advice(machine: Machine, channel: str, column: Meaning) -> str:
             )
         if family == "voltage":
             return "describe its drive with the kind voltage and a channel such as u_V (docs/own_machine.md)"
-        advice = "map the voltage or the duty cycle that was applied"
+        commanded = channel_dimension(machine, channel)
+        advice = f"map the {commanded} that was commanded; a log without its commands cannot be used"
+        if commanded == "voltage":
+            advice = "map the voltage or the duty cycle that was applied"
         if family in _COMMANDED and column.evidence == "name":
             return f"{advice}, or add --unit {channel}=V if the column is a voltage in spite of its name"
         return advice
