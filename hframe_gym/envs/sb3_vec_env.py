@@ -5,13 +5,13 @@ It needs stable-baselines3, the extra `agents`; nothing else of `hframe_gym.envs
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Unpack
 
 import gymnasium as gym
 import numpy as np
 from gymnasium.envs.registration import load_env_creator
-from gymnasium.vector import AutoresetMode
+from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 from typing_extensions import override
 
@@ -39,23 +39,40 @@ def _vector_entry_point(env_id: str) -> tuple[type[HFrameVectorEnv], dict[str, A
     return make, dict(spec.kwargs) if spec else {}
 
 
+def _row(observation: Any, b: int) -> Any:
+    """Return the observation of one environment: a dict of arrays, or an array."""
+    if isinstance(observation, dict):
+        return {key: values[b].copy() for key, values in observation.items()}
+    return observation[b].copy()
+
+
+def _with_rows(observation: Any, other: Any, rows: NDArray[np.bool_]) -> Any:
+    """Return observations with the rows (num_envs,) of other ones."""
+    if isinstance(observation, dict):
+        return {key: _with_rows(values, other[key], rows) for key, values in observation.items()}
+    return np.where(rows[:, None], other, observation)
+
+
 class HFrameVecEnv(VecEnv):  # type: ignore[misc]
     """Simulate many independent environments behind the `VecEnv` interface of stable-baselines3.
 
     Observations are new dicts of arrays. Where an episode ended, they are those after the reset, and the info holds
     `terminal_observation`, `TimeLimit.truncated` (the limit, not the workspace's edge, ended the episode), `is_success`
     and `distance_m` at its end. The info of an episode that continues is empty, except that with the reward "progress"
-    every info holds `previous_achieved_goal` (and `previous_desired_goal` if goals move), which `compute_reward` needs.
+    every info holds `previous_achieved_goal` (and `previous_desired_goal` if goals move), which `compute_reward` needs,
+    and that every info holds what wrappers add.
 
     Args:
         num_envs: Number of environments.
         env_id: Id of the environment, for example "HFrameTrack-v0" or "HFrameFlat-v0".
         max_episode_steps: Control periods until truncation, or None.
         render_mode: None or "rgb_array".
+        wrappers: Functions that wrap the vector environment, the innermost first, such as
+            `lambda envs: VectorPenaltyWrapper(envs, {"energy": 0.1})`; their `step` must return five values.
         **options: Keywords of `EnvConfig`, as for `HFrameEnv`.
 
     Attributes:
-        envs: The Gymnasium vector environment `HFrameVectorEnv`.
+        envs: The Gymnasium vector environment `HFrameVectorEnv`, without wrappers.
         reset_infos: One dict per environment; `parameters` holds the randomized parameters, SI, by full name.
 
     Raises:
@@ -70,11 +87,11 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
         env_id: str = "HFrame-v0",
         max_episode_steps: int | None = 150,
         render_mode: str | None = None,
+        wrappers: Sequence[Callable[[VectorEnv], VectorEnv]] = (),
         **options: Unpack[EnvOptions],
     ) -> None:
-        check_keywords(
-            type(self).__name__, dict(options), ("num_envs", "env_id", "max_episode_steps", "render_mode")
-        )
+        own = ("num_envs", "env_id", "max_episode_steps", "render_mode", "wrappers")
+        check_keywords(type(self).__name__, dict(options), own)
         if isinstance(num_envs, str):
             raise InputError(
                 f"num_envs is {num_envs!r}, it must be a number; HFrameVecEnv(8, env_id='HFrameTrack-v0')"
@@ -83,14 +100,18 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
         self.envs = make(
             num_envs,
             max_episode_steps=max_episode_steps,
-            autoreset_mode=AutoresetMode.SAME_STEP,
+            autoreset_mode=AutoresetMode.DISABLED,
             render_mode=render_mode,
             **{**keywords, **options},
         )
+        self._wrapped: VectorEnv = self.envs
+        for wrap in wrappers:
+            self._wrapped = wrap(self._wrapped)
         self._actions: NDArray[Any] | None = None
-        # Keys of the infos from which `compute_reward` takes goals.
+        self._described: frozenset[str] = frozenset()  # keys of the infos of a reset
+        # Those from which `compute_reward` takes goals.
         self._previous_goals: tuple[str, ...] = ()
-        super().__init__(num_envs, self.envs.single_observation_space, self.envs.single_action_space)
+        super().__init__(num_envs, self._wrapped.single_observation_space, self._wrapped.single_action_space)
 
     @override
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
@@ -121,8 +142,9 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
         """
         options = self._options
         self._reset_options()
-        observation, info = self.envs.reset(seed=self._seeds, options=self._stacked(options))
+        observation, info = self._wrapped.reset(seed=self._seeds, options=self._stacked(options))
         self._keep_reset_infos(info, range(self.num_envs))
+        self._described = frozenset(info)
         self._previous_goals = tuple(key for key in info if key.startswith("previous_"))
         self._reset_seeds()
         return observation
@@ -175,22 +197,24 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
             gymnasium.error.ResetNeeded: If `reset` was not called.
             NotFiniteError: If a position or velocity is not finite (simulation diverged).
         """
-        observation, reward, terminated, truncated, info = self.envs.step(self._actions)
+        observation, reward, terminated, truncated, info = self._wrapped.step(self._actions)
         done = terminated | truncated
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
-        for key in self._previous_goals:
-            for description, goal in zip(infos, info[key], strict=True):
-                description[key] = goal
-        if "final_obs" in info:
-            over, distance_key = np.flatnonzero(done).tolist(), self.envs.batch.distance_key
-            final = info["final_info"]
-            for b in over:
-                infos[b] = {
-                    "terminal_observation": info["final_obs"][b],
-                    "TimeLimit.truncated": bool(truncated[b] and not terminated[b]),
-                    "is_success": bool(final["is_success"][b]),
-                    distance_key: float(final[distance_key][b]),
-                } | {key: final[key][b] for key in self._previous_goals}
+        distance_key = self.envs.batch.distance_key
+        for key in (*self._previous_goals, *(info.keys() - self._described)):  # the latter from wrappers
+            for description, value in zip(infos, info[key], strict=True):
+                description[key] = value
+        over = np.flatnonzero(done).tolist()
+        for b in over:
+            infos[b] |= {
+                "terminal_observation": _row(observation, b),
+                "TimeLimit.truncated": bool(truncated[b] and not terminated[b]),
+                "is_success": bool(info["is_success"][b]),
+                distance_key: float(info[distance_key][b]),
+            }
+        if over:
+            begun, info = self._wrapped.reset(options={"reset_mask": done})
+            observation = _with_rows(observation, begun, done)
             self._keep_reset_infos(info, over)
         return observation, reward, done, infos
 

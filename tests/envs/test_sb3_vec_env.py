@@ -6,7 +6,7 @@ import pytest
 from stable_baselines3 import PPO, SAC, HerReplayBuffer
 from stable_baselines3.common.vec_env import VecMonitor
 
-from hframe_gym.envs import HFrameVectorEnv
+from hframe_gym.envs import HFrameVectorEnv, VectorCostWrapper, VectorObserveQuantities, VectorPenaltyWrapper
 from hframe_gym.envs.sb3_vec_env import HFrameVecEnv
 from hframe_gym.errors import InputError
 
@@ -33,6 +33,34 @@ def test_bits_and_episode_ends():
             terminal = infos[3]["terminal_observation"]
             np.testing.assert_array_equal(terminal["observation"], info["final_obs"][3]["observation"])
             assert not np.array_equal(terminal["desired_goal"], observation["desired_goal"][3])
+
+
+def test_wrapped_environments_give_what_the_wrappers_give():
+    """Penalties, costs and observed quantities, through the end of an episode."""
+
+    def wrapped(envs):
+        observed = VectorObserveQuantities(VectorPenaltyWrapper(envs, {"velocity": 2.0}), ("belt_force",))
+        return VectorCostWrapper(observed, {"velocity": 0.1})
+
+    vec = HFrameVecEnv(3, max_episode_steps=4, wrappers=[wrapped])
+    plain = wrapped(HFrameVectorEnv(3, max_episode_steps=4, autoreset_mode="Disabled"))
+    vec.seed(4)
+    assert vec.observation_space.contains({key: rows[0] for key, rows in vec.reset().items()})
+    plain.reset(seed=4)
+    actions = np.random.default_rng(0).uniform(-1, 1, (6, 3, 2)).astype(np.float32)
+    for step, action in enumerate(actions):
+        observation, reward, done, infos = vec.step(action)
+        expected, expected_reward, _, over, info = plain.step(action)
+        np.testing.assert_array_equal(reward, expected_reward)
+        assert [row["cost"] for row in infos] == info["cost"].tolist()
+        if step == 3:
+            assert done.all()
+            for b, row in enumerate(infos):
+                last = row["terminal_observation"]["quantities"]
+                np.testing.assert_array_equal(last, expected["quantities"][b])
+            expected, _ = plain.reset(options={"reset_mask": over})
+        np.testing.assert_array_equal(observation["quantities"], expected["quantities"])
+    assert info["cost"].any()
 
 
 def test_an_end_at_the_edge_is_not_a_truncation():
