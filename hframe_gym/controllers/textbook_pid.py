@@ -79,8 +79,8 @@ class TextbookPID(FullStateController):
             return None
         return (
             f"textbook-pid is unstable on machine {self.machine.name!r} at a control period of {self.period:g} s, "
-            f"unless dry friction or effects damp it (largest eigenvalue of the closed loop without them {largest:.2f}): "
-            "its one-mass model ignores that the belts stretch"
+            "unless dry friction or effects damp it (largest eigenvalue of the closed loop without them "
+            f"{largest:.2f}): its one-mass model ignores that the belts stretch"
         )
 
     @override
