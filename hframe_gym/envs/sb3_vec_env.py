@@ -142,7 +142,8 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
         """
         options = self._options
         self._reset_options()
-        observation, info = self._wrapped.reset(seed=self._seeds, options=self._stacked(options))
+        seeds: Any = self._seeds  # one each, which Gymnasium's annotation lacks
+        observation, info = self._wrapped.reset(seed=seeds, options=self._stacked(options))
         self._keep_reset_infos(info, range(self.num_envs))
         self._described = frozenset(info)
         self._previous_goals = tuple(key for key in info if key.startswith("previous_"))
