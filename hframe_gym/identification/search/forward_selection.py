@@ -122,8 +122,8 @@ class EffectSearch:
             if extended is None:
                 break
             best, selected = extended
-            require_updates(best, self.data, criteria)
             self.reached = best, selected
+            require_updates(best, self.data, criteria)
             current, selected = self._exchange(fit_with_model_error(best, self.data), selected)
             if judge.is_worth_comparing_rivals(current.error, criteria):
                 likely, others = self.settle_rivals(current, selected)

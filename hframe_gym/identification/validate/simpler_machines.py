@@ -253,9 +253,8 @@ def descriptions(
         try:
             with stage.limiting():
                 current, found = search.run(current, selected)
-        except VoltagesChangeError:
-            return
-        except BudgetEndedError:
+        except (BudgetEndedError, VoltagesChangeError):
+            # A description stands, although a cause might ask for other voltages between the rows.
             current, found = search.reached or (current, selected)
         if len(found) == len(selected):
             return
