@@ -13,8 +13,9 @@ import pytest
 from typer.testing import CliRunner
 
 from hframe_gym.cli import app
-from hframe_gym.cli import support as cli_support
-from hframe_gym.cli.support import finishing_on_interrupt, print_warning, search_progress
+from hframe_gym.cli import progress as cli_progress
+from hframe_gym.cli.messages import print_warning
+from hframe_gym.cli.progress import finishing_on_interrupt, search_progress
 from hframe_gym.identification.budget import Budget, error_so_far, note_error, spend
 from hframe_gym.recordings import save_machine, write_recording
 from tests.identification.single_axis import AXIS, limited_runs
@@ -79,7 +80,7 @@ def test_an_interrupted_search_writes_what_it_found(
         if doing.startswith("trial fit"):
             os.kill(os.getpid(), signal.SIGINT)
 
-    progress = cli_support.search_progress
+    progress = cli_progress.search_progress
 
     class Interrupting:
         def __init__(self, log: Callable[[str], None]) -> None:
@@ -165,7 +166,7 @@ def test_warnings_about_numbers_and_of_other_libraries_are_not_for_the_user(
 def test_progress_for_a_program_has_the_error_of_the_best_machine_so_far(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv(cli_support.PROGRESS_VARIABLE, "json")
+    monkeypatch.setenv(cli_progress.PROGRESS_VARIABLE, "json")
     with search_progress(lambda line: None) as progress:
         budget = Budget(120.0, clock=lambda: 3.0, progress=progress)
         with budget.limiting():
@@ -173,7 +174,7 @@ def test_progress_for_a_program_has_the_error_of_the_best_machine_so_far(
             spend("trial fit 1")
             spend("trial fit 2")  # at once, so that it is left out
     lines = [
-        line for line in capsys.readouterr().out.split("\n") if line.startswith(cli_support.PROGRESS_MARK)
+        line for line in capsys.readouterr().out.split("\n") if line.startswith(cli_progress.PROGRESS_MARK)
     ]
     assert [json.loads(line[1:]) for line in lines] == [
         {"doing": "trial fit 1", "spent": 0.0, "budget": 120.0, "error": 25.5}

@@ -23,8 +23,8 @@ from rich.table import Table
 
 from hframe_gym import agents
 from hframe_gym.cli import tables as cli_tables
-from hframe_gym.cli.app import CONTROL_PERIOD
-from hframe_gym.cli.support import training_proposal
+from hframe_gym.cli.control_commands import training_proposal
+from hframe_gym.cli.options import CONTROL_PERIOD
 from hframe_gym.controllers import CONTROLLERS, ModelBasedController
 from hframe_gym.data_validation import Finding, print_findings
 from hframe_gym.effects import EFFECTS

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from benchmarks.faults.determinism import determinism
 from hframe_gym.cli import app
-from hframe_gym.cli.support import describe_failure
+from hframe_gym.cli.messages import describe_failure
 
 ROOT = Path(__file__).parents[1]
 needs_signals = pytest.mark.skipif(

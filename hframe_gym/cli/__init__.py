@@ -18,8 +18,9 @@ import typer
 
 from .. import __version__
 from . import app_commands, control_commands, export_commands, machine_commands, recording_commands
-from .app import app, closed_output_tolerated, log
-from .support import DEBUG_VARIABLE, FAULT_FOUND, describe_failure, print_warning
+from .application import app
+from .messages import DEBUG_VARIABLE, FAULT_FOUND, describe_failure, print_warning
+from .output import closed_output_tolerated, log
 
 __all__ = [
     "app",

@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from .app import app, log
+from .application import app
+from .output import log
 
 
 @app.command("app")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields, is_dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,10 +13,11 @@ from ..errors import InputError
 from ..files import locked_folder, output_batch
 from ..operating_system import quoted
 from ..parallel import map_tasks
-from .app import (
+from .application import CommandWithChoices, app, register_agents
+from .messages import collect_warnings, value_errors_as_input_errors
+from .options import (
     CONTROL_PERIOD,
     MAX_SEED,
-    CommandWithChoices,
     ControllersArgument,
     EpisodesOption,
     MachineOption,
@@ -25,24 +27,14 @@ from .app import (
     RayOption,
     SensorsOption,
     TaskOption,
-    app,
-    console,
-    log,
-    register_agents,
-)
-from .support import (
-    collect_warnings,
-    option_words,
-    progress_bar,
     require_folder,
-    task_with_path,
-    training_proposal,
-    value_errors_as_input_errors,
 )
+from .output import console, log
+from .progress import progress_bar
 
 if TYPE_CHECKING:
     from ..evaluation import Episodes
-    from ..machine import Machine
+    from ..machine import AxisUnit, Machine
 
 
 @app.command(cls=CommandWithChoices)
@@ -354,3 +346,54 @@ def play(
         game.save_picture(picture)
         log(f"wrote {picture}")
     game.close()
+
+
+def task_with_path(name: str, path: str | None, unit: AxisUnit) -> Any:
+    """Return the task that the options --task and --path select: a task object with the path, or the name of the task.
+
+    Args:
+        name: Registered name of the task.
+        path: Shape or file that the goal follows; None: that of the task.
+        unit: Unit of the machine's axes.
+
+    Raises:
+        InputError: If the task is unknown, or if a path is given for a task that does not follow one.
+    """
+    from ..envs import TASKS, as_task
+
+    task_class: Any = TASKS.get(name)
+    follows_path = is_dataclass(task_class) and "path" in {field.name for field in fields(task_class)}
+    if path is not None and not follows_path:
+        raise InputError(f"--path {path}: the task {name} follows no path")
+    return name if path is None else as_task(name, unit, path=path)
+
+
+def option_words(**values: str | None) -> str:
+    """Format options as the end of a command line that a message proposes, quoted: " --machine axis --task reach".
+
+    An option whose value is None is left out.
+    """
+    return "".join(f" --{name} {quoted(value)}" for name, value in values.items() if value is not None)
+
+
+def training_proposal(machine: str, task: str, randomize: str, period: float) -> str:
+    """Write the line that proposes, after an evaluation of controllers, to train an agent with the same settings.
+
+    It names the control period of the recipe if it differs from `period`, s, that of the evaluation. It is empty if the
+    package has no recipe "ppo" for the task.
+    """
+    from ..agents import load_recipe
+
+    try:
+        recipe = load_recipe("ppo", task)
+    except InputError:
+        return ""
+    words = option_words(
+        machine=machine, task=task, randomize=None if randomize == recipe.randomize else randomize
+    )
+    note = (
+        ""
+        if period == recipe.period
+        else f" with --period {recipe.period:g}, the control period of the recipe"
+    )
+    return f"Next: hframe train ppo{words} --out FOLDER, then evaluate FOLDER too{note}"

@@ -13,7 +13,8 @@ import typer
 from typing_extensions import override
 
 from ..errors import InputError, suggestion
-from .app import CommandGroup, CommandWithChoices, app, log, register_agents
+from .application import CommandGroup, CommandWithChoices, app, register_agents
+from .output import log
 
 _HELP = """Write a machine, a controller or an agent in the files of other tools; KIND is one of the commands below.
 

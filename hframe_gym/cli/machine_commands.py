@@ -11,7 +11,9 @@ import typer
 
 from ..errors import InputError
 from ..registry import PLUGIN_VARIABLE
-from .app import Application, CommandGroup, MachineOption, app, console, log
+from .application import Application, CommandGroup, app
+from .options import MachineOption
+from .output import console, log
 
 _EFFECTS_HELP = """List the effects that identification can add to a machine's model (the default), or write a new one.
 

@@ -16,33 +16,20 @@ import typer
 from ..errors import InputError
 from ..files import locked_folder, output_batch, remove_file
 from ..parallel import files_of, map_tasks, write_files
-from .app import (
-    CommandWithChoices,
+from .application import CommandWithChoices, app
+from .identify_steps import check_recordings_before_fit, proposed_formulas, require_several_runs, rig_folders
+from .messages import FAULT_FOUND, INTERNAL_ERROR, describe_failure
+from .options import (
     MachineOption,
     MaxRowsOption,
     OutOption,
     RayOption,
     RecordingsArgument,
     RunFormats,
-    app,
-    closed_output_tolerated,
-    console,
-    log,
-    plain_text,
-)
-from .support import (
-    FAULT_FOUND,
-    INTERNAL_ERROR,
-    check_recordings_before_fit,
-    describe_failure,
-    finishing_on_interrupt,
-    progress_bar,
-    proposed_formulas,
     require_folder,
-    require_several_runs,
-    rig_folders,
-    search_progress,
 )
+from .output import closed_output_tolerated, console, log, plain_text
+from .progress import finishing_on_interrupt, progress_bar, search_progress
 
 if TYPE_CHECKING:
     from ..data_validation import Finding

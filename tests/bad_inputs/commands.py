@@ -12,7 +12,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 from hframe_gym import cli
-from hframe_gym.cli.support import DEBUG_VARIABLE
+from hframe_gym.cli.messages import DEBUG_VARIABLE
 
 from .mutations import MARK
 
@@ -142,7 +142,7 @@ def _internal_error(stop: SystemExit) -> str:
 
 def _last_line(error: BaseException) -> str:
     """Return the message that the command prints for an exception."""
-    from hframe_gym.cli.support import describe_failure
+    from hframe_gym.cli.messages import describe_failure
 
     return describe_failure(error)[1] if isinstance(error, Exception) else DEBUG_VARIABLE
 

@@ -18,7 +18,8 @@ import typer
 
 from hframe_gym.agents import train, train_seeds
 from hframe_gym.agents.agent_files import refuse_unsigned
-from hframe_gym.cli.app import CommandWithChoices, RayOption
+from hframe_gym.cli.application import CommandWithChoices
+from hframe_gym.cli.options import RayOption
 from hframe_gym.errors import InputError
 from hframe_gym.parallel import files_of, local_processes, map_tasks, ray_cluster, worker, write_files
 from tests.parallel.worker_tasks import draw, fail, threads_of

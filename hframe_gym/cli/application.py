@@ -1,22 +1,15 @@
-"""The command line application: the Typer object, the options of several commands, their help, and the output."""
+"""The command line application: the Typer object, and the classes of its commands and groups with their help."""
 
 from __future__ import annotations
 
-import errno
 import inspect
-import os
 import re
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-from enum import StrEnum
+from collections.abc import Callable
 from importlib import import_module
 from itertools import pairwise
-from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Any, TypeVar
 
 import typer
-from rich.console import Console
 from typer.core import TyperCommand, TyperGroup
 from typing_extensions import override
 
@@ -24,14 +17,6 @@ from ..help_texts import with_choices
 from ..parallel import LOCAL_RAY
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
-
-
-class RunFormats(StrEnum):
-    """File formats of recordings."""
-
-    CSV_GZ = "csv.gz"
-    CSV = "csv"
-    PARQUET = "parquet"
 
 
 class Command(TyperCommand):
@@ -120,117 +105,12 @@ app = Application(
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
-MAX_SEED = 2**31 - 1
 _RAY_ADDRESS = re.compile(rf"auto|{LOCAL_RAY}|[^\s/]+:\d+")  # other words after --ray are no address
-
-
-class _TolerantStream:
-    """Text stream that discards what is written after its reader has gone, and passes on everything else."""
-
-    def __init__(self, stream: Any) -> None:
-        self._stream = stream
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._stream, name)
-
-    def write(self, text: str) -> int:
-        """Write a text, or discard it if nobody reads the stream any more."""
-        try:
-            return int(self._stream.write(text))
-        except OSError as error:
-            self._discard(error)
-            return len(text)
-
-    def flush(self) -> None:
-        """Pass on what was written, or discard it if nobody reads the stream any more."""
-        try:
-            self._stream.flush()
-        except OSError as error:
-            self._discard(error)
-
-    def _discard(self, error: OSError) -> None:
-        """Connect a stream without a reader to the null device, to which its buffer can be written; raise others."""
-        if error.errno != errno.EPIPE and not (os.name == "nt" and error.errno == errno.EINVAL):
-            raise error
-        with suppress(OSError, ValueError):  # a stream without a file, such as that of a test
-            null = os.open(os.devnull, os.O_WRONLY)
-            os.dup2(null, self._stream.fileno())
-            os.close(null)
-
-
-@contextmanager
-def closed_output_tolerated() -> Iterator[None]:
-    """Let the work inside a `with` block go on if the reader of its output ends, as in `hframe import LOGS | head`."""
-    streams = sys.stdout, sys.stderr
-    sys.stdout, sys.stderr = _TolerantStream(sys.stdout), _TolerantStream(sys.stderr)
-    try:
-        yield
-        sys.stdout.flush()
-    finally:
-        sys.stdout, sys.stderr = streams
-
-
-console = Console(soft_wrap=True)
-
-MachineOption = Annotated[
-    str, typer.Option(help="A machine.json or a built-in name (see `hframe machines`).")
-]
-OutOption = Annotated[Path, typer.Option(help="Folder for the results; created if it does not exist.")]
-MaxRowsOption = Annotated[
-    int,
-    typer.Option(
-        "--max-rows",
-        min=1000,
-        help="Largest number of rows of all runs together. Of each of N runs, the first max-rows / N rows are used, "
-        "but at least 20,000.",
-    ),
-]
-TaskOption = Annotated[
-    str, typer.Option(help="Task: {tasks}, or module:name, also of my_module.py in this folder.")
-]
-RandomizeOption = Annotated[
-    str, typer.Option(help="Randomization of each episode's machine: {randomizations}.")
-]
-EpisodesOption = Annotated[int, typer.Option(min=1, max=10**6, help="Number of episodes of each controller.")]
-ControllersArgument = Annotated[
-    list[str],
-    typer.Argument(
-        help="Controllers: {controllers}, a shipped agent ({agents}), the folder of a trained agent, "
-        "a model of stable-baselines3 (NAME.zip), or module:name."
-    ),
-]
-SensorsOption = Annotated[
-    str,
-    typer.Option(help="What controllers observe: {sensors}; state is exact, the others are measurements."),
-]
-CONTROL_PERIOD = 0.01  # s, as in EnvConfig, which is not imported because it would delay every command
-PeriodOption = Annotated[float, typer.Option(help="Control period in seconds, 1e-5 to 10.")]
-RecordingsArgument = Annotated[Path, typer.Argument(help="A folder of recordings, one run per file.")]
-RayOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="[ADDRESS]",
-        help="Run on a Ray cluster at HOST:PORT, or auto to find it; with --ray alone, Ray starts on this machine.",
-    ),
-]
 
 
 def register_agents() -> None:
     """Register the trained agents as controllers, also if the package is not installed and has no entry points."""
     import_module("hframe_gym.agents")
-
-
-def log(line: str) -> None:
-    """Print a line of text at once, also if the output is not a terminal; markup of rich in it is printed as it is."""
-    console.print(plain_text(line), markup=False, highlight=False)
-
-
-def plain_text(text: str) -> str:
-    """Return a text with every character that could control the terminal replaced by its escape sequence.
-
-    Names in files may contain such characters. Line feeds and tabs stay.
-    """
-    return "".join(c if c.isprintable() or c in "\n\t" else repr(c)[1:-1] for c in text)
 
 
 class CommandWithChoices(Command):

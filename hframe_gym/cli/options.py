@@ -1,0 +1,70 @@
+"""Options and arguments that several commands have, and their values."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..errors import InputError
+
+MAX_SEED = 2**31 - 1
+
+MachineOption = Annotated[
+    str, typer.Option(help="A machine.json or a built-in name (see `hframe machines`).")
+]
+OutOption = Annotated[Path, typer.Option(help="Folder for the results; created if it does not exist.")]
+MaxRowsOption = Annotated[
+    int,
+    typer.Option(
+        "--max-rows",
+        min=1000,
+        help="Largest number of rows of all runs together. Of each of N runs, the first max-rows / N rows are used, "
+        "but at least 20,000.",
+    ),
+]
+TaskOption = Annotated[
+    str, typer.Option(help="Task: {tasks}, or module:name, also of my_module.py in this folder.")
+]
+RandomizeOption = Annotated[
+    str, typer.Option(help="Randomization of each episode's machine: {randomizations}.")
+]
+EpisodesOption = Annotated[int, typer.Option(min=1, max=10**6, help="Number of episodes of each controller.")]
+ControllersArgument = Annotated[
+    list[str],
+    typer.Argument(
+        help="Controllers: {controllers}, a shipped agent ({agents}), the folder of a trained agent, "
+        "a model of stable-baselines3 (NAME.zip), or module:name."
+    ),
+]
+SensorsOption = Annotated[
+    str,
+    typer.Option(help="What controllers observe: {sensors}; state is exact, the others are measurements."),
+]
+CONTROL_PERIOD = 0.01  # s, as in EnvConfig, which is not imported because it would delay every command
+PeriodOption = Annotated[float, typer.Option(help="Control period in seconds, 1e-5 to 10.")]
+RecordingsArgument = Annotated[Path, typer.Argument(help="A folder of recordings, one run per file.")]
+RayOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="[ADDRESS]",
+        help="Run on a Ray cluster at HOST:PORT, or auto to find it; with --ray alone, Ray starts on this machine.",
+    ),
+]
+
+
+class RunFormats(StrEnum):
+    """File formats of recordings."""
+
+    CSV_GZ = "csv.gz"
+    CSV = "csv"
+    PARQUET = "parquet"
+
+
+def require_folder(path: Path) -> Path:
+    """Return the value of the option --out, a folder that need not exist yet; an InputError refuses a file."""
+    if path.exists() and not path.is_dir():
+        raise InputError(f"--out {path}: is a file, but must be a folder")
+    return path

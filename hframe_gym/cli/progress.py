@@ -1,0 +1,125 @@
+"""Progress of long commands: a line at the bottom of a terminal, plain lines, or records for another program."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
+from typing import TYPE_CHECKING
+
+from .output import console, plain_text
+
+if TYPE_CHECKING:
+    from ..identification.budget import Budget
+
+# If "json", progress is printed as JSON for a program that started the command: one object a line, after PROGRESS_MARK.
+PROGRESS_VARIABLE = "HFRAME_PROGRESS"
+PROGRESS_MARK = "\x1e"  # the record separator of JSON text sequences (RFC 7464)
+_SECONDS_BETWEEN_RECORDS = 0.2  # s; a person does not see changes that are faster
+_SECONDS_BETWEEN_LINES = 10.0  # of processor time, where progress is no line at the bottom of a terminal
+# What the user's Ctrl-C sends, and what another program sends in its place on Windows.
+_INTERRUPTS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGBREAK") if hasattr(signal, name))
+
+
+@contextmanager
+def progress_bar(description: str) -> Iterator[Callable[[int, int], None]]:
+    """Show a progress bar during the `with` block, if the output is a terminal.
+
+    Yields:
+        Function that updates the bar. Call it with the work done and the total work, for example in bytes.
+    """
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+    if os.environ.get(PROGRESS_VARIABLE) == "json":
+        record = _progress_records()
+        yield lambda done, total: record(doing=description, done=done, total=total)
+        return
+    columns = TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn()
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task(description, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+def _progress_records() -> Callable[..., None]:
+    """Return a function that prints its keyword arguments as a record of progress, at most five in a second."""
+    last = -math.inf
+
+    def record(**values: float | str | None) -> None:
+        nonlocal last
+        now = time.monotonic()
+        if now - last >= _SECONDS_BETWEEN_RECORDS or values.get("done") == values.get("total", math.nan):
+            last = now
+            print(f"{PROGRESS_MARK}{json.dumps(values)}", flush=True)
+
+    return record
+
+
+@contextmanager
+def search_progress(log: Callable[[str], None]) -> Iterator[Callable[[str, float, float], None]]:
+    """Show what a search does during the `with` block: a line at the bottom of a terminal, plain lines elsewhere.
+
+    Args:
+        log: Called with a line of text, where the output is no terminal, at most once in ten seconds of processor time.
+
+    Yields:
+        Function of what the search does, the processor time spent and the budget, s.
+    """
+    from ..identification.budget import error_so_far
+
+    if os.environ.get(PROGRESS_VARIABLE) == "json":
+        record = _progress_records()
+        yield lambda doing, spent, seconds: record(
+            doing=doing, spent=spent, budget=seconds if math.isfinite(seconds) else None, error=error_so_far()
+        )
+        return
+
+    def line(doing: str, spent: float, seconds: float) -> str:
+        return f"{doing} ({spent:.0f} s{f' of at most {seconds:.0f}' if math.isfinite(seconds) else ''})"
+
+    if console.is_terminal:
+        with console.status("preparing the recordings") as status:
+            yield lambda *step: status.update(plain_text(line(*step)).replace("[", "\\["))
+        return
+    printed = 0.0
+
+    def print_line(doing: str, spent: float, seconds: float) -> None:
+        nonlocal printed
+        if spent - printed >= _SECONDS_BETWEEN_LINES:
+            printed = spent
+            log(f"  {line(doing, spent, seconds)}")
+
+    yield print_line
+
+
+@contextmanager
+def finishing_on_interrupt(budget: Budget) -> Iterator[None]:
+    """Let the first Ctrl-C during the `with` block end a search with what it found so far; the second one ends all.
+
+    While no search is in progress, Ctrl-C ends the command as everywhere.
+    """
+    previous = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or not callable(previous):
+        yield
+        return
+
+    def finish(number: int, frame: FrameType | None) -> None:
+        if not budget.searching or budget.interrupted:
+            previous(number, frame)
+            return
+        budget.stop()
+        os.write(2, b"hframe: interrupted; testing what was found so far (Ctrl-C again: end at once)\n")
+
+    earlier = {number: signal.getsignal(number) for number in _INTERRUPTS}
+    for number in _INTERRUPTS:
+        signal.signal(number, finish)
+    try:
+        yield
+    finally:
+        for number, handler in earlier.items():
+            signal.signal(number, handler)
