@@ -4,19 +4,7 @@ This package holds no integrator and reads no files.
 """
 
 from .axis_unit import ARM, AXIS_UNITS, DEFAULT_TURNS, METERS, RADIANS, AxisUnit
-from .components import (
-    DRIVE_KINDS,
-    SENSOR_KINDS,
-    Belt,
-    Coordinate,
-    Drive,
-    DriveKind,
-    DriveLaw,
-    Row,
-    Sensor,
-    SensorKind,
-    Uncertainty,
-)
+from .components import Belt, Coordinate, Drive, Row, Sensor
 from .declaration import (
     FIXED_UNITS,
     POSITIVE,
@@ -31,6 +19,7 @@ from .declaration import (
     summary,
 )
 from .diagram import draw_machine
+from .drive_kinds import DRIVE_KINDS, DriveKind, DriveLaw
 from .effect import HOOKS, AppliedEffect, Effect, EffectParameter, Hook, argument_names
 from .machine import Contact, Machine
 from .motion import (
@@ -47,6 +36,7 @@ from .motion import (
 )
 from .presets import BUILTIN_MACHINES, with_constant_stiffness
 from .sensed_quantities import SENSED_QUANTITIES, SensedQuantity, SensorQuantity
+from .sensor_kinds import SENSOR_KINDS, SensorKind
 from .stage_geometry import (
     BeltGeometry,
     Box,
@@ -59,6 +49,7 @@ from .stage_geometry import (
     stage_geometry,
 )
 from .trajectory import SIMULATORS, Simulator, Trajectory
+from .uncertainty import Uncertainty
 
 __all__ = [
     "ARM",

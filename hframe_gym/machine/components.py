@@ -7,18 +7,12 @@ of machine.json and the parameters of the machine follow (`declaration`).
 from __future__ import annotations
 
 import dataclasses
-import inspect
-import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cache
-from typing import Annotated, Any, ClassVar, cast, get_args
+from typing import Annotated, Any, ClassVar
 
-import numpy as np
-from numpy.typing import ArrayLike
 from typing_extensions import override
 
-from ..arrays import Array
 from ..errors import InputError
 from ..registry import Registry
 from .axis_unit import ARM
@@ -32,8 +26,9 @@ from .declaration import (
     Plain,
     Variant,
 )
-from .effect import AppliedEffect, Effect
+from .drive_kinds import DRIVE_KINDS, DriveLaw
 from .sensed_quantities import SENSED_QUANTITIES, SensedQuantity, SensorQuantity
+from .sensor_kinds import SENSOR_KINDS
 
 Row = Mapping[str, float]
 
@@ -120,120 +115,6 @@ class Belt(Component):
     rest_length: Annotated[float, Number("m", role="parameter", plausible=50.0)]
     extension: Row
     length: Row = field(default_factory=dict)
-
-
-class DriveKind:
-    """Base class of drive kinds: what the command of a drive is, and what the drive makes of it.
-
-    A kind is a subclass that registers itself with `@DRIVE_KINDS.register("name")`. Kinds are never instantiated. The
-    current that a command causes is (command - Ke * gear_ratio * w) / resistance, where a drive that controls its
-    current has Ke 0 and resistance 1: its amplifier supplies whatever voltage is necessary. A kind with a `law` has
-    another relation between command, motion and torque, for example the controller of a servo.
-
-    Attributes:
-        command: Quantity of the command in simulations: "voltage", "current", "torque" (of the motor shaft), or the
-            "position" or "speed" of the coordinate.
-        fraction: Whether recordings have the command as a fraction of the supply voltage, from -1 to 1.
-        fixed: Values of the parameters of `Drive` that a drive of this kind does not have.
-        units: Units of parameters of `Drive` that have another one for this kind.
-        law: Torque of the motor shaft, Nm, as the formula `current` of an effect on a drive, which may have a state
-            (`Effect`). None: the motor's equation above.
-        defaults: Values of parameters that a file need not state. At its default, a parameter of the law has no
-            influence, and it is not identified.
-        largest: Parameter of the law that is the largest torque, Nm.
-        unit_of_force: Parameter of the law in proportion to which all torques are. Motion alone does not determine it:
-            with all masses and friction forces in the same proportion, the motion is the same.
-    """
-
-    command: ClassVar[str] = "voltage"
-    fraction: ClassVar[bool] = False
-    fixed: ClassVar[Mapping[str, float]] = {}
-    units: ClassVar[Mapping[str, str]] = {}
-    law: ClassVar[Effect | None] = None
-    defaults: ClassVar[Mapping[str, float]] = {}
-    largest: ClassVar[str] = ""
-    unit_of_force: ClassVar[str] = ""
-
-    @classmethod
-    def damping(cls, gear_ratio: Any, law_parameters: Mapping[str, Any]) -> Any:
-        """Return the viscous coefficient of a law: by how much the force that it makes falls per speed, Ns/m or Nms.
-
-        It is that at the coordinate, while the torque is within its limits; 0 for a law without such a part. The
-        integrator solves it exactly, so that a stiff loop needs no short steps.
-
-        Args:
-            gear_ratio: Gear ratio of the drive, rad/m or rad/rad: float, array of any shape or expression.
-            law_parameters: Values of the parameters of the law, SI, of the same type.
-        """
-        return 0.0
-
-    @classmethod
-    def largest_jump(cls, gear_ratio: float, law_parameters: Mapping[str, float]) -> float:
-        """Return by how much a commanded position may change at once, in the coordinate's unit.
-
-        Args:
-            gear_ratio: Gear ratio of the drive, rad/m or rad/rad.
-            law_parameters: Values of the parameters of the law, SI.
-
-        Returns:
-            The change, m or rad, beyond which the drive does not follow; infinite if it always does.
-        """
-        return math.inf
-
-    @classmethod
-    def unit(cls, coordinate: CoordinateKind) -> str:
-        """Return the unit of the command of a drive that moves a coordinate of a kind."""
-        return FIXED_UNITS.get(cls.command) or UNITS[coordinate][cls.command]
-
-
-DRIVE_KINDS: Registry[type[DriveKind]] = Registry("drive kind", package="hframe_gym.drives")
-
-
-@DRIVE_KINDS.register("voltage")
-class VoltageDrive(DriveKind):
-    """An amplifier or bridge that applies a voltage to the motor."""
-
-
-@DRIVE_KINDS.register("duty-cycle")
-class DutyCycleDrive(DriveKind):
-    """A bridge whose recorded command is a duty cycle, from -1 to 1: the voltage is that fraction of the supply's.
-
-    Reading a recording multiplies the duty cycle by the measured supply (`Drive.supply`), or by the rated voltage in a
-    recording without that column. Everything else knows voltages only.
-    """
-
-    fraction = True
-
-
-@DRIVE_KINDS.register("current")
-class CurrentDrive(DriveKind):
-    """An amplifier that controls the current of the motor; its bandwidth and limit are effects of the drive."""
-
-    command = "current"
-    fixed: ClassVar[Mapping[str, float]] = {"Ke": 0.0, "resistance": 1.0}
-
-
-@DRIVE_KINDS.register("torque")
-class TorqueDrive(DriveKind):
-    """A drive that controls the torque of the motor shaft; its bandwidth and limit are effects of the drive.
-
-    Its torque constant is 1: the true torque per commanded torque, which identification may correct.
-    """
-
-    command = "torque"
-    fixed: ClassVar[Mapping[str, float]] = {"Ke": 0.0, "resistance": 1.0}
-    units: ClassVar[Mapping[str, str]] = {"Kt": "1"}
-    defaults: ClassVar[Mapping[str, float]] = {"Kt": 1.0}
-
-
-@dataclass(frozen=True)
-class DriveLaw(AppliedEffect):
-    """The law of a drive, which acts like an effect on it; its parameters are parameters of the drive."""
-
-    @property
-    @override
-    def label(self) -> str:
-        return self.site
 
 
 @dataclass(frozen=True)
@@ -391,173 +272,6 @@ class Drive(Component):
         return super().device_parameters | {"voltage_range": limit}
 
 
-class SensorKind:
-    """Base class of sensor kinds, such as encoders: what a sensor measures, as a formula of the motion.
-
-    A kind is a subclass that registers itself with `@SENSOR_KINDS.register("name")`. Kinds are never instantiated.
-    Simulation, linearization, state estimation, environments, identification and checks all read the formula `signal`.
-
-    Attributes:
-        incremental: Whether the sensor counts increments from its position at power-on. Its zero is then unknown, and
-            elastic belts may lie between it and the tool.
-        has_offset: Whether the measurements have an unknown constant offset, as those of an accelerometer do, which
-            also feels gravity. Comparisons with a simulation then ignore the mean of the difference.
-        turn: Size of the range after which the measurement begins anew, in the channel's unit; None if it does not.
-        unit: Unit of the measurement, if it is not that of the quantity: V for the generator of a tachometer, whose
-            coefficients in `Sensor.row` are in V per rad/s.
-    """
-
-    incremental: ClassVar[bool] = False
-    has_offset: ClassVar[bool] = False
-    turn: ClassVar[float | None] = None
-    unit: ClassVar[str] = ""
-
-    @staticmethod
-    def signal(position: Any) -> Any:
-        """Compute the ideal measurement (without noise and rounding) from the quantity that the sensor responds to.
-
-        The name of the argument selects the quantity: "position", "speed" or "acceleration" is the sum of the sensor's
-        coefficients (`Sensor.row`) times those of the coordinates (m, rad; per second; per second squared); "current"
-        is the sum of coefficients times the currents of the drives, A, and "tension" that of coefficients times the
-        tensions of the belts beyond their pretension, N. A formula uses the operators + - * / and abs. A constant
-        factor belongs in the coefficients, by which initial states and observers divide.
-
-        Args:
-            position: The quantity: float, array of any shape or symbolic expression.
-
-        Returns:
-            Ideal measurement in the unit of the quantity, or in `unit`, of the same shape.
-        """
-        return position
-
-    @classmethod
-    def quantity(cls) -> SensorQuantity:
-        """Return the quantity to which sensors of this kind respond, the name of the argument of `signal`.
-
-        Raises:
-            ValueError: If the argument has another name than one of the quantities.
-        """
-        return _quantity_of(cls.signal)
-
-    @classmethod
-    def has_direction(cls) -> bool:
-        """Return whether the ideal measurement changes its sign with the quantity; an absolute value does not."""
-        return bool(cls.signal(-1.0) == -cls.signal(1.0))
-
-    @staticmethod
-    def measure(reading: Array, noise: ArrayLike, resolution: ArrayLike, normal: ArrayLike) -> Array:
-        """Convert ideal readings to measurements, m or rad: add noise, then round; the shapes broadcast.
-
-        Args:
-            reading: Ideal (noise-free, continuous) readings, m or rad, any shape.
-            noise: Standard deviation of the noise, m or rad, any shape.
-            resolution: Quantization step of the sensor, m or rad, any shape; 0 for a continuous sensor.
-            normal: Samples of the standard normal distribution, dimensionless, any shape; they are multiplied
-                by `noise`.
-        """
-        value = np.asarray(reading + np.asarray(noise) * normal)
-        quantum = np.broadcast_to(np.asarray(resolution, float), value.shape)
-        return np.where(
-            quantum > 0.0, np.rint(value / np.where(quantum > 0.0, quantum, 1.0)) * quantum, value
-        )
-
-
-@cache
-def _quantity_of(signal: Callable[[Any], Any]) -> SensorQuantity:
-    """Return the quantity that a formula of a sensor kind takes."""
-    names = list(inspect.signature(signal).parameters)
-    quantities = get_args(SensorQuantity)
-    if len(names) != 1 or names[0] not in quantities:
-        raise ValueError(
-            f"{signal.__qualname__}: has the arguments {names}; it must have one of {quantities}"
-        )
-    return cast(SensorQuantity, names[0])
-
-
-SENSOR_KINDS: Registry[type[SensorKind]] = Registry("sensor kind")
-
-
-@SENSOR_KINDS.register("encoder")
-class Encoder(SensorKind):
-    """An incremental encoder: it counts increments from its position at power-on, so its zero is unknown."""
-
-    incremental = True
-
-
-@SENSOR_KINDS.register("laser")
-class Laser(SensorKind):
-    """A laser distance sensor; it measures the absolute position, so its zero is known."""
-
-
-@SENSOR_KINDS.register("speed")
-class SpeedSensor(SensorKind):
-    """A tachometer, or a drive or counter that reports a speed, in m/s or rad/s."""
-
-    @staticmethod
-    @override
-    def signal(speed: Any) -> Any:
-        return speed
-
-
-@SENSOR_KINDS.register("unsigned-speed")
-class UnsignedSpeedSensor(SensorKind):
-    """A pulse counter without direction: it reports the absolute value of the speed, in m/s or rad/s."""
-
-    @staticmethod
-    @override
-    def signal(speed: Any) -> Any:
-        return abs(speed)
-
-
-@SENSOR_KINDS.register("acceleration")
-class AccelerationSensor(SensorKind):
-    """An accelerometer on a carriage, such as an ADXL345, in m/s^2 or rad/s^2; its offset and gravity are unknown.
-
-    It measures the acceleration just before the sample, under the voltages that have acted until then.
-    """
-
-    has_offset = True
-
-    @staticmethod
-    @override
-    def signal(acceleration: Any) -> Any:
-        return acceleration
-
-
-@SENSOR_KINDS.register("current")
-class CurrentSensor(SensorKind):
-    """The measured current of a drive, A, just before the sample, under the voltages that have acted until then."""
-
-    @staticmethod
-    @override
-    def signal(current: Any) -> Any:
-        return current
-
-
-@SENSOR_KINDS.register("belt-force")
-class BeltForceSensor(SensorKind):
-    """A load cell at a pulley or a strain gauge on a clamp: the tension of a belt, N; the pretension is unknown."""
-
-    has_offset = True
-
-    @staticmethod
-    @override
-    def signal(tension: Any) -> Any:
-        return tension
-
-
-@SENSOR_KINDS.register("absolute-angle")
-class AbsoluteAngle(SensorKind):
-    """An absolute encoder of one turn: the angle, whose zero is known, begins anew at 0 after 2 pi rad."""
-
-    turn: ClassVar[float] = 2.0 * math.pi
-
-    @staticmethod
-    @override
-    def measure(reading: Array, noise: ArrayLike, resolution: ArrayLike, normal: ArrayLike) -> Array:
-        return np.mod(SensorKind.measure(reading, noise, resolution, normal), AbsoluteAngle.turn)
-
-
 @dataclass(frozen=True)
 class Sensor(Component):
     """One sensor, which measures the sum of coefficients times positions, speeds, accelerations, currents or tensions.
@@ -653,29 +367,3 @@ class Sensor(Component):
         The sign of a coefficient does not matter, and products of coordinates ("y*yaw") are ignored.
         """
         return max((name for name in self.row if "*" not in name), key=lambda name: abs(self.row[name]))
-
-
-@dataclass(frozen=True)
-class Uncertainty:
-    """Covariance of the identified parameters of a machine.
-
-    Attributes:
-        names: Full names of the k parameters, for example x.mass.
-        covariance: Covariance matrix, shape (k, k), in the products of the parameters' units.
-    """
-
-    names: tuple[str, ...]
-    covariance: Array
-
-    def std(self, name: str) -> float | None:
-        """Return the standard deviation of a parameter in its unit, or None if it was not identified."""
-        if name not in self.names:
-            return None
-        index = self.names.index(name)
-        return float(np.sqrt(self.covariance[index, index]))
-
-    @property
-    def correlation(self) -> Array:
-        """Correlation coefficients of the parameters, shape (k, k); 0 with a parameter without variance."""
-        std = np.sqrt(np.maximum(np.diag(self.covariance), 1e-300))
-        return self.covariance / np.outer(std, std)

@@ -18,20 +18,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..arrays import Array
 from .axis_unit import DEFAULT_TURNS, METERS, RADIANS, AxisUnit
-from .components import (
-    DRIVE_KINDS,
-    SENSOR_KINDS,
-    Belt,
-    Coordinate,
-    Drive,
-    DriveLaw,
-    Row,
-    Sensor,
-    Uncertainty,
-)
+from .components import Belt, Coordinate, Drive, Row, Sensor
 from .declaration import FIXED_UNITS, UNITS, Component, Variant
+from .drive_kinds import DRIVE_KINDS, DriveLaw
 from .effect import AppliedEffect, SiteKind
+from .sensor_kinds import SENSOR_KINDS
 from .trajectory import SIMULATORS, Trajectory
+from .uncertainty import Uncertainty
 
 _COMPONENTS = {Coordinate: "coordinates", Belt: "belts", Drive: "drives", Sensor: "sensors"}
 

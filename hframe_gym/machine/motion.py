@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arrays import Array
-from .components import Uncertainty
 from .machine import Machine
+from .uncertainty import Uncertainty
 
 # m per unit of the leading coordinate; a motion that extends a belt by more is not rigid.
 _RIGID_EXTENSION = 1e-9

@@ -16,7 +16,7 @@ from hframe_gym.effects import get_effect
 from hframe_gym.errors import InputError
 from hframe_gym.identification import identify
 from hframe_gym.machine import DRIVE_KINDS, Coordinate, Drive, Machine, Sensor
-from hframe_gym.machine.components import TorqueDrive
+from hframe_gym.machine.drive_kinds import TorqueDrive
 from hframe_gym.recordings import Recording, load_recording, machine_to_dict, save_machine, write_recording
 from hframe_gym.recordings.logs.measurement_units import channel_dimension
 from tests.identification.control_of_kinds import action_of_a_trained_agent, largest_error_of_pid
