@@ -19,7 +19,7 @@ from tests.log_samples import klipper_block as block
 
 def test_the_data_logger_gives_a_recording(tmp_path: Path) -> None:
     axis = BUILTIN_MACHINES["axis"]()
-    accelerations = [[10.0 + 0.003 * k, 100.0 * k, 0.0, 9810.0] for k in range(100)]
+    accelerations = [[10.0 + 0.003 * k, 100.0 * k, 0.0, 9810.0] for k in range(115)]
     write_klipper(
         tmp_path / "bench.json.gz",
         KLIPPER_INFO,
@@ -42,14 +42,22 @@ def test_the_data_logger_gives_a_recording(tmp_path: Path) -> None:
     (run,) = load_recordings(tmp_path / "runs", axis)
     assert run.name == "bench"
     times = [row[0] for row in accelerations]
-    np.testing.assert_allclose(run.time_s[:100], times)
-    assert set(np.round(np.diff(run.time_s[100:]), 9)) == {0.001}  # after the last acceleration
-    at = np.searchsorted(run.time_s, [10.0509, 10.1499, 10.2489, 10.3249])
-    np.testing.assert_allclose(run.outputs[at, 0], [0.0063005, 0.015, 0.02, 0.0195], atol=1e-9)
+    np.testing.assert_allclose(run.time_s, times)
+    at = np.searchsorted(run.time_s, [10.0509, 10.1499, 10.2489, 10.3239])
+    np.testing.assert_allclose(run.outputs[at, 0], [0.0063005, 0.015, 0.02, 0.01952], atol=1e-9)
     np.testing.assert_allclose(run.inputs[at, 0], [51.0, 100.0, 0.0, -20.0], atol=1e-9)
     text = "\n".join(lines)
     assert "commanded motion, given at the times of the sensors" in text
     assert "subscriptions that are not read: status" in text
+
+
+def test_without_sensors_the_motion_is_given_every_millisecond(tmp_path: Path) -> None:
+    write_klipper(tmp_path / "a.json.gz", block("trapq:toolhead", data=KLIPPER_PIECES))
+    (log,) = open_logs(tmp_path / "a.json.gz")
+    (position, time_s), remarks = log.read([log.columns[0], *log.times])
+    np.testing.assert_allclose(time_s, 10.0 + 1e-3 * np.arange(351))
+    assert position[0] == 5.0
+    assert "given every 1 ms" in remarks[0]
 
 
 def test_steps_and_angles_have_their_times(tmp_path: Path) -> None:

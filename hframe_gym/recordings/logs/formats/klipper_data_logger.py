@@ -29,8 +29,7 @@ from .tables import TimedTable, log_of_tables, signal_columns
 
 _END = b"\x03"  # of a message
 _BLOCK = 1 << 16  # compressed bytes that are expanded at a time; the size is checked after each block
-# s; commanded motions, which the log has as pieces of constant acceleration, are given at this period while no sensor
-# measures.
+# s; commanded motions, which the log has as pieces of constant acceleration, are given at this period without sensors.
 _PERIOD = 1e-3
 _MOST_STEPS = 65535  # in one row of steps; the printer's board counts them with 16 bits
 _MOTIONS, _STEPS = "trapq", "stepq"  # kinds of data that are commands
@@ -186,8 +185,8 @@ def _motion(path: Path, name: str, params: Sequence[dict[str, Any]], measured_s:
     """Return commanded positions, velocities and accelerations of the axes, of which the log has the pieces.
 
     A piece of constant acceleration has its time, duration, initial speed, acceleration, initial position and
-    direction. The motion is given at the times of the sensors' measurements, shape (m,), s, and every millisecond
-    before and after them.
+    direction. The motion is given at the times of the sensors' measurements, shape (m,), s, or every millisecond if
+    there are none.
     """
     rows = [row for block in params if isinstance(block.get("data"), list) for row in block["data"]]
     try:
@@ -209,8 +208,7 @@ def _motion(path: Path, name: str, params: Sequence[dict[str, Any]], measured_s:
         time_s = table[0, 0] + _PERIOD * np.arange(int(duration / _PERIOD) + 1)
         given = f"every {_PERIOD * 1e3:g} ms"
         if len(measured_s):
-            outside = (time_s < measured_s[0]) | (time_s > measured_s[-1])
-            time_s, given = np.union1d(time_s[outside], measured_s), "at the times of the sensors"
+            time_s, given = measured_s, "at the times of the sensors"
         piece = np.maximum(np.searchsorted(table[:, 0], time_s, "right") - 1, 0)
         since, length, speed, acceleration = time_s - table[piece, 0], *table[piece, 1:4].T
         within = np.clip(since, 0.0, length)
