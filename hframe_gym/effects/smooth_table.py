@@ -12,7 +12,7 @@ from functools import lru_cache
 from typing import Any
 
 from ..dynamics.elementwise import absolute, where
-from ..machine import Effect, EffectParameter
+from ..machine import AppliedEffect, Effect, EffectParameter
 
 KNOTS = 24
 TABLE_FAMILY = "smooth_table"
@@ -97,3 +97,8 @@ def definition(name: str) -> Effect:
         parameters=tuple(parameters),
         **{hook: _Table()},  # type: ignore[arg-type]
     )
+
+
+def tabulated_range(effect: AppliedEffect) -> tuple[float, float]:
+    """Return the first and the last knot of a table, in the unit of its variable; the table is constant beyond them."""
+    return effect.parameters[_KNOT_NAMES[0]], effect.parameters[_KNOT_NAMES[-1]]

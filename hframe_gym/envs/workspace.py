@@ -18,6 +18,7 @@ from ..arrays import Array, Workspace
 from ..dynamics import LANES
 from ..dynamics.codegen.compiled import compiled
 from ..dynamics.elementwise import absolute, copysign, maximum
+from ..effects.smooth_table import TABLE_FAMILY, tabulated_range
 from ..errors import InputError
 from ..machine import Effect, EffectParameter, Machine
 
@@ -33,6 +34,8 @@ STIFFNESS_LIMIT, DAMPING_LIMIT = 0.5, 1.5
 # The second limit applies to m minus this fraction of h^2 times the stiffness of the belts, but at least to a tenth of
 # m. Carriages of which the belts take more oscillate too fast for the step, also without buffers.
 BELT_FRACTION, SMALLEST_FRACTION = 0.25, 0.1
+# Part of the workspace at either end that recordings may have left out without a warning.
+UNMEASURED_FRACTION = 0.1
 LARGEST_DEPTH = 1e3  # m, more than any machine's workspace
 
 
@@ -92,6 +95,29 @@ def workspace_of(machine: Machine) -> Workspace:
             f"the environment needs {len(axes)}"
         )
     return np.array(machine.axis_ranges, dtype=np.float64)
+
+
+def unmeasured_workspace(machine: Machine) -> str | None:
+    """Return a warning if the workspace reaches beyond the positions over which a table of the machine was identified.
+
+    Nothing is known there: a table is constant beyond its ends, wherever the force really goes.
+
+    Raises:
+        InputError: As `workspace_of`.
+    """
+    workspace = dict(zip(machine.tool_axes, workspace_of(machine).tolist(), strict=True))
+    for effect in machine.effects:
+        axis = effect.definition.against.removeprefix("position of ")
+        if effect.definition.family != TABLE_FAMILY or axis not in workspace:
+            continue
+        (low, high), (first, last) = workspace[axis], tabulated_range(effect)
+        if max(first - low, high - last) > UNMEASURED_FRACTION * (high - low):
+            return (
+                f"machine {machine.name!r}: {effect.label} was identified from {first:.3g} to {last:.3g} "
+                f"{machine.axis_unit.name}, and the workspace reaches from {low:.3g} to {high:.3g}, where the force is "
+                f'unknown; add "range": [{first:.3g}, {last:.3g}] to {axis!r} in the machine.json, or record more'
+            )
+    return None
 
 
 def outside_workspace(positions: NDArray[np.floating[Any]], workspace: NDArray[Any]) -> NDArray[np.bool_]:

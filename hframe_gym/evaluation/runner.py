@@ -18,6 +18,7 @@ from ..arrays import Array
 from ..controllers import Controller, EnvironmentController, period_concern
 from ..dynamics import Equations, MotionPoint, NotFiniteError
 from ..envs import MachineLike, RandomizationLike, SensorsLike, TaskLike
+from ..envs.workspace import unmeasured_workspace
 from ..errors import InputError
 from ..files import write_text
 from ..machine import Machine
@@ -86,8 +87,10 @@ def evaluate(
         )
     if scenario.periods > MANY_PERIODS:
         warnings.warn(f"an episode has {scenario.periods} control periods, which takes minutes", stacklevel=2)
-    if concern := period_concern(scenario.declared_machine, scenario.period):
-        warnings.warn(concern, stacklevel=2)
+    declared = scenario.declared_machine
+    for concern in (period_concern(declared, scenario.period), unmeasured_workspace(declared)):
+        if concern:
+            warnings.warn(concern, stacklevel=2)
     if not isinstance(controllers, Mapping):
         names = [controllers] if isinstance(controllers, str) else list(controllers)
         controllers = {name: make_controller(name, scenario) for name in dict.fromkeys(names)}

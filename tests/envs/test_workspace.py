@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from hframe_gym.dynamics import LANES
+from hframe_gym.effects.smooth_table import KNOTS, definition
 from hframe_gym.envs import HFrameVectorEnv, RandomizeParameter, Uniform
-from hframe_gym.envs.workspace import BUFFER_STIFFNESS, END_STOP, EndStops
+from hframe_gym.envs.workspace import BUFFER_STIFFNESS, END_STOP, EndStops, unmeasured_workspace
 from hframe_gym.machine import BUILTIN_MACHINES
 
 
@@ -15,6 +16,20 @@ def test_the_active_region_is_where_the_force_is():
     force = stop("force", q=q, v=0.0, t=0.0)
     np.testing.assert_array_equal(stop("active_region", q=q), force != 0.0)
     assert np.all(np.sign(force) == np.sign(np.clip(q, -0.1, 0.2) - q))
+
+
+@pytest.mark.parametrize(("last", "warned"), [(0.2, False), (0.12, True)])
+def test_a_workspace_beyond_a_table_is_told(last, warned):
+    axis = BUILTIN_MACHINES["axis"]()
+    (low, high) = axis.coordinates[0].range
+    knots = np.linspace(low, high * last / 0.2, KNOTS)
+    values = {f"k{i:02d}": k for i, k in enumerate(knots)} | {f"f{i:02d}": 1.0 for i in range(KNOTS)}
+    machine = axis.with_effects(definition("smooth_force[position of x]").at("x", **values))
+    message = unmeasured_workspace(machine)
+    assert (message is not None) == warned
+    assert unmeasured_workspace(axis) is None
+    if warned:
+        assert f'"range": [{knots[0]:.3g}, {knots[-1]:.3g}]' in message
 
 
 def test_the_machine_s_parameters_come_first(hframe):
