@@ -5,10 +5,8 @@ from .cleaning import (
     bridge_blanks,
     comparison_window,
     fill_gaps,
-    outlier_mask,
     peak_to_peak,
     repetitions,
-    without_outliers,
     without_repetitions,
     without_silences,
 )
@@ -53,6 +51,7 @@ from .machine_file import (
     template_questions,
     write_machine_template,
 )
+from .outliers import outlier_mask, without_outliers
 from .quantities import split_unit
 from .quantization import exact_quantum, quantum_of
 from .recording import (
