@@ -350,7 +350,9 @@ class MachineReader:
             definition = get_effect(entry.name)
         except KeyError:
             raise self._error(
-                field, f"no such effect; there are {', '.join(EFFECTS)}{suggestion(entry.name, EFFECTS)}"
+                field,
+                f"no such effect; there are {', '.join(EFFECTS)}{suggestion(entry.name, EFFECTS)}. If it is one of "
+                "your own, name its Python file in the environment variable HFRAME_PLUGINS",
             ) from None
         sites = effect_sites(definition, machine)
         # A file may declare sites that no search tries, and already has the components that a structural effect adds.
