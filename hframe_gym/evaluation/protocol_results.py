@@ -131,11 +131,16 @@ def checksum(content: Mapping[str, Any]) -> str:
 
 
 def installed_versions(packages: Iterable[str]) -> dict[str, str]:
-    """List the versions of packages on which results depend, by name; those that are not installed are omitted."""
+    """List the versions of packages on which results depend, by name; those that are not installed are omitted.
+
+    Of this package it is that of the code that runs: an editable installation keeps the number of the day it was made.
+    """
+    from .. import __version__
+
     versions = {}
     for package in packages:
         try:
-            versions[package] = metadata.version(package)
+            versions[package] = __version__ if package == "hframe_gym" else metadata.version(package)
         except metadata.PackageNotFoundError:
             continue
     return versions

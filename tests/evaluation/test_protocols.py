@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import hframe_gym
 from hframe_gym.controllers import CONTROLLERS, Controller
 from hframe_gym.envs import HFrameVectorEnv, LogUniform
 from hframe_gym.errors import InputError
@@ -25,6 +26,7 @@ from hframe_gym.evaluation import (
     episode_conditions,
     fill_unsettled,
     get_protocol,
+    installed_versions,
     paired_ratio,
     protocol_bounds,
     protocols,
@@ -43,6 +45,13 @@ from tools.tables.leaderboard import results as stored_results
 pytestmark = pytest.mark.integration
 
 HFRAME = BUILTIN_MACHINES["hframe"]()
+
+
+def test_results_state_the_version_of_the_code_that_ran(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not that of the installation, which an editable one keeps; packages that are not installed are omitted."""
+    monkeypatch.setattr(hframe_gym, "__version__", "99.0")
+    versions = installed_versions(("hframe_gym", "numpy", "no_such_package"))
+    assert versions == {"hframe_gym": "99.0", "numpy": np.__version__}
 
 
 def small(name: str, draws: int = 4, duration_s: float = 0.3) -> Protocol:
