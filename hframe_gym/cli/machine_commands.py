@@ -150,6 +150,9 @@ def new_machine_file(
     rated_voltage: Annotated[float | None, typer.Option(help="Rated voltage, V.")] = None,
     encoder_lines: Annotated[int | None, typer.Option(help="Lines of the motors' encoders; 0: none.")] = None,
     linear_sensor: Annotated[bool | None, typer.Option(help="Whether sensors measure x and y.")] = None,
+    drive: Annotated[
+        str, typer.Option(help="What is commanded: voltage, duty-cycle, current or torque.")
+    ] = "",
     values: Annotated[
         list[str] | None, typer.Option("--set", help="PARAMETER=VALUE in SI, e.g. x.coulomb=2.")
     ] = None,
@@ -175,6 +178,7 @@ def new_machine_file(
         "rated_voltage": rated_voltage,
         "encoder_lines": encoder_lines,
         "linear_sensor": linear_sensor,
+        "drive": drive,
         "values": values,
     }
     given = {name: value for name, value in options.items() if value not in ("", None)}

@@ -105,11 +105,16 @@ def file_obstacle(path: Path, force: bool) -> str:
 
 
 def motion_lines(machine: Machine) -> list[str]:
-    """Describe moved mass, stall force and top speed at rated voltage of each rigid motion, to reveal wrong units."""
+    """Describe moved mass, stall force and top speed at rated voltage of each rigid motion, to reveal wrong units.
+
+    A drive that controls its current or torque has no back-EMF, so that the machine file does not tell a top speed.
+    """
     lines = []
+    has_speed = any(d.law or d.Ke for d in machine.drives)
     for name, limit in motion_limits(machine).items():
         c = machine.coordinate(name)
-        values = f"{limit.force:.3g} {c.unit('force')} at rest, up to {limit.speed:.3g} {c.unit('speed')}"
+        speed = f", up to {limit.speed:.3g} {c.unit('speed')}" if has_speed else ""
+        values = f"{limit.force:.3g} {c.unit('force')} at rest{speed}"
         lines.append(f"along {name}: {limit.inertia:.4g} {c.unit('mass')} with the rotors, {values}")
     return lines
 

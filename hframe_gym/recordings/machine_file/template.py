@@ -13,13 +13,34 @@ from typing import Any
 
 from ...errors import InputError, suggestion
 from ...files import write_text
-from ...machine import BUILTIN_MACHINES, METERS, RADIANS, Drive, Machine, Sensor, rest_positions_per_axis
+from ...machine import (
+    BUILTIN_MACHINES,
+    DRIVE_KINDS,
+    METERS,
+    RADIANS,
+    Drive,
+    Machine,
+    Sensor,
+    rest_positions_per_axis,
+)
 from .machine_json import machine_to_dict
 from .reader import MachineReader
 from .schema import MachineFile
 
 _QUADRATURE = 4  # edges per line of an encoder
 _LINE = 100  # characters of a line of the file, comments excepted
+# Beginning and end of the columns of commands, by the kinds of drives that have no law of their own.
+_COMMANDS = {
+    "voltage": ("v", "_V"),
+    "duty-cycle": ("duty", ""),
+    "current": ("i", "_A"),
+    "torque": ("torque", "_Nm"),
+}
+# What a DC motor has at rest at its rated voltage: A, Nm.
+_AT_REST: dict[str, Callable[[Drive], float]] = {
+    "current": lambda drive: drive.rated_voltage / drive.resistance,
+    "torque": lambda drive: drive.Kt * drive.rated_voltage / drive.resistance,
+}
 _LONGEST = {"travel": 20.0, "pulley_radius": 1.0}  # m; larger values are refused, they are in millimeters
 _AXIS_PULLEY = 0.02  # m; with it and no gear, the template `axis` has its 50 rad/m
 
@@ -132,6 +153,14 @@ _SET_POINT_COMMENT = (
     "most speed_limit. A stepper: position_gain * speed_gain = 50 * holding torque. rated_position: "
     "largest command of the environment. `hframe identify` estimates the gains."
 )
+_CURRENT_COMMENT = (
+    "A motor whose amplifier controls the current; channel is the column of the commanded current in the recordings, "
+    "A. rated_current: largest command. Optional: bandwidth (Hz) of the amplifier, current_limit (A), delay (s)."
+)
+_TORQUE_COMMENT = (
+    "A drive that controls the torque of the motor shaft; channel is the column of the commanded torque in the "
+    "recordings, Nm. rated_torque: largest command. Optional: Kt (true per commanded torque), bandwidth (Hz)."
+)
 _ENCODER_COMMENT = (
     "An incremental encoder. resolution: 2 pi / (4 * lines * gear_ratio) for one on the motor shaft; noise: 0 if it is "
     "below the resolution."
@@ -139,6 +168,8 @@ _ENCODER_COMMENT = (
 _DRIVE_COMMENTS = {
     "voltage": _DRIVE_COMMENT,
     "duty-cycle": _DUTY_COMMENT,
+    "current": _CURRENT_COMMENT,
+    "torque": _TORQUE_COMMENT,
     "position": _SET_POINT_COMMENT,
 }
 _LASER_COMMENT = (
@@ -164,6 +195,8 @@ class MachineOptions:
         rated_voltage: Rated voltage of the motors, V.
         encoder_lines: Lines of the encoders on the motor shafts, read in quadrature; 0 for no encoders.
         linear_sensor: Whether sensors measure x and y (an axis: x).
+        drive: What is commanded, for templates with DC motors: "voltage", "duty-cycle", "current" or "torque". The
+            largest current or torque is that of the motor at rest at its rated voltage.
         values: Further values by full name, SI, for example {"x.coulomb": 2.0, "x_m.noise": 1e-5}.
     """
 
@@ -177,6 +210,7 @@ class MachineOptions:
     rated_voltage: float | None = None
     encoder_lines: int | None = None
     linear_sensor: bool = True
+    drive: str | None = None
     values: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -272,6 +306,7 @@ def new_machine(like: str, name: str, options: MachineOptions) -> Machine:
     machine = _with_masses(machine, options)
     gear_ratios = {d.coordinate: d.gear_ratio for d in BUILTIN_MACHINES[like]().drives}
     machine = machine.replace(sensors=_sensors(machine, gear_ratios, options))
+    machine = machine.replace(drives=tuple(_commanded(d, options.drive) for d in machine.drives))
     if machine.drive_laws and machine.axis_unit is METERS:
         machine = machine.replace(drives=tuple(_reaching(machine, d) for d in machine.drives))
     if not machine.sensors:
@@ -355,6 +390,8 @@ def _commented(
 def _check(like: str, machine: Machine, options: MachineOptions) -> None:
     """Check that options are positive and fit the template."""
     applies = {question.option for question in template_questions(like)} | {"values"}
+    if not machine.drive_laws:
+        applies.add("drive")
     for info in dataclasses.fields(options):
         if info.name not in applies and getattr(options, info.name) not in (info.default, None):
             raise InputError(
@@ -419,6 +456,25 @@ def _drive(machine: Machine, drive: Drive, options: MachineOptions) -> Drive:
     if options.pulley_radius is not None and machine.coordinate(drive.coordinate).kind == "linear":
         new["gear_ratio"] = (options.gear_ratio or 1.0) / options.pulley_radius
     return dataclasses.replace(drive, **new)  # type: ignore[arg-type]
+
+
+def _commanded(drive: Drive, kind: str | None) -> Drive:
+    """Return a drive of another kind, whose column and largest command are those of the same motor."""
+    if kind is None or kind == drive.kind:
+        return drive
+    if kind not in _COMMANDS:
+        raise InputError(
+            f"--drive {kind}: choose one of {', '.join(_COMMANDS)}{suggestion(kind, _COMMANDS)}; the templates printer "
+            "and servo follow a position, and docs/machine.md describes all kinds"
+        )
+    number = "".join(c for c in drive.name if c.isdigit())
+    letter, ending = _COMMANDS[kind]
+    drive = dataclasses.replace(drive, kind=kind, channel=f"{letter}{number}{ending}")
+    if kind not in _AT_REST:
+        return drive
+    largest = float(f"{_AT_REST[kind](drive):.4g}")
+    fixed = {**DRIVE_KINDS.get(kind).fixed, **({"Kt": 1.0} if kind == "torque" else {})}
+    return dataclasses.replace(drive, rated_voltage=largest, voltage_range=None, **fixed)
 
 
 def _reaching(machine: Machine, drive: Drive) -> Drive:

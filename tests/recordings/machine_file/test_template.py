@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 from pathlib import Path
@@ -12,7 +13,7 @@ import pytest
 from hframe_gym.dynamics import mode_frequencies
 from hframe_gym.errors import InputError
 from hframe_gym.evaluation import evaluate
-from hframe_gym.machine import BUILTIN_MACHINES, rigid_motions
+from hframe_gym.machine import BUILTIN_MACHINES, motion_limits, rigid_motions
 from hframe_gym.recordings import TEMPLATES, MachineOptions, load_machine, new_machine, write_machine_template
 
 
@@ -32,6 +33,29 @@ def test_a_template_without_options_is_the_built_in_machine_with_comments(like: 
         max(len(line) for line in path.read_text().splitlines() if "comment" not in line and "    " in line)
         <= 120
     )
+
+
+@pytest.mark.parametrize(
+    ("kind", "channels", "values"),
+    [
+        ("duty-cycle", ["duty1", "duty2"], (0.05, 0.05, 2.0, 24.0)),
+        ("current", ["i1_A", "i2_A"], (0.05, 0.0, 1.0, 12.0)),
+        ("torque", ["torque1_Nm", "torque2_Nm"], (1.0, 0.0, 1.0, 0.6)),
+    ],
+)
+def test_a_motor_with_another_command_keeps_its_largest_force(
+    kind: str, channels: list[str], values: tuple[float, ...], tmp_path: Path
+) -> None:
+    options = MachineOptions(Kt=0.05, resistance=2.0, rated_voltage=24.0)
+    voltage = new_machine("corexy", "mine", options)
+    write_machine_template(
+        "corexy", new_machine("corexy", "mine", dataclasses.replace(options, drive=kind)), tmp_path / "m.json"
+    )
+    machine = load_machine(tmp_path / "m.json")
+    assert [d.channel for d in machine.drives] == channels
+    drive = machine.drives[0]
+    assert (drive.Kt, drive.Ke, drive.resistance, drive.rated_voltage) == values
+    assert motion_limits(machine)["x"].force == pytest.approx(motion_limits(voltage)["x"].force)
 
 
 def test_options_of_a_corexy_machine() -> None:
@@ -163,6 +187,8 @@ def test_a_preset_reaches_its_goals_with_the_controller_for_its_drives(name: str
         ("corexy", {"rated_voltage": math.inf}, "--rated-voltage inf"),
         ("corexy", {"travel": (300.0, 200.0)}, "--travel 300: is it in millimeters"),
         ("corexy", {"encoder_lines": 0, "linear_sensor": False}, "no sensor is left"),
+        ("corexy", {"drive": "curent"}, "did you mean 'current'?"),
+        ("servo", {"drive": "current"}, "--drive: servo has none"),
         ("corexy", {"values": {"x.mas": 1.0}}, "--set x.mas: there is no such parameter; there are x.mass"),
         ("corexy", {"values": {"belt1_long.EA": 1.0}}, "tied to belt1_short.EA"),
     ],
