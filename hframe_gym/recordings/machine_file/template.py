@@ -473,7 +473,7 @@ def _commanded(drive: Drive, kind: str | None) -> Drive:
     if kind not in _AT_REST:
         return drive
     largest = float(f"{_AT_REST[kind](drive):.4g}")
-    fixed = {**DRIVE_KINDS.get(kind).fixed, **({"Kt": 1.0} if kind == "torque" else {})}
+    fixed: dict[str, Any] = {**DRIVE_KINDS.get(kind).fixed, **({"Kt": 1.0} if kind == "torque" else {})}
     return dataclasses.replace(drive, rated_voltage=largest, voltage_range=None, **fixed)
 
 
