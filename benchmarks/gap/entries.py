@@ -409,6 +409,16 @@ def family(name: str) -> str:
     return re.sub(r"-seed\d+", "", name)
 
 
+def training_seed(name: str) -> int | None:
+    """Return the seed of the agent of an entry; None if the entry is no agent.
+
+    Args:
+        name: Name of an entry, for example "apg_mix-seed1-corrected".
+    """
+    found = re.search(r"-seed(\d+)", name)
+    return int(found[1]) if found else None
+
+
 def entry_names() -> list[str]:
     """Return the names of the entries of the repository; NAME-seedN... is one of an agent with another seed than 0."""
     designs = [name for name in CONTROLLERS if not CONTROLLERS.get(name).set_points] + list(AGENTS)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.gap.entries import VARIANTS, family
+from benchmarks.gap.entries import VARIANTS, family, training_seed
 from benchmarks.gap.plants import draw_plant
 from benchmarks.gap.protocol import DIGEST, EPISODES, PARTS
 from benchmarks.gap.results import PlantScore, compare, interval, plant_scores, read
@@ -61,8 +61,9 @@ def summarize(contents: dict[str, dict[str, Any]]) -> dict[str, Any]:
     steps: dict[str, Any] = {}
     for name, of_seeds in files.items():
         base, _, step = name.rpartition("-")
-        if step in STEPS and base in files:
-            steps[name] = {part: compare(of_seeds, files[base], part)._asdict() for part in PARTS}
+        declared = _of_same_seeds(files.get(base, []), of_seeds)
+        if step in STEPS and declared:
+            steps[name] = {part: compare(of_seeds, declared, part)._asdict() for part in PARTS}
     return {
         "digest": DIGEST,
         "episodes": EPISODES,
@@ -71,6 +72,12 @@ def summarize(contents: dict[str, dict[str, Any]]) -> dict[str, Any]:
         "learned": _learned_against_other(files, entries),
         "plants": _plants(files),
     }
+
+
+def _of_same_seeds(of_base: list[dict[str, Any]], of_seeds: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the files of a base entry that have the seeds of other files: seeds are compared in pairs."""
+    seeds = {training_seed(content["entry"]["name"]) for content in of_seeds}
+    return [content for content in of_base if training_seed(content["entry"]["name"]) in seeds]
 
 
 def _learned_against_other(files: Files, entries: dict[str, Any]) -> dict[str, Any]:
