@@ -1,7 +1,7 @@
 """Draw whether each step of the loop pays: errors with each model of the plant over those with the declared one.
 
 Points are geometric means over the plants of the ratio to the declared model, with 95 % intervals by a bootstrap
-over the plants and, of agents, the seeds.
+over the plants and, of agents, the seeds that both have.
 """
 
 from __future__ import annotations
@@ -13,8 +13,9 @@ import numpy as np
 
 from benchmarks.gap.entries import MODELS
 from benchmarks.gap.results import interval, plant_scores
-from benchmarks.gap.summary import by_entry
+from benchmarks.gap.summary import by_entry, of_same_seeds
 from benchmarks.results_file import FIGURES, save_figure
+from tests.reference_simulator import Array
 
 COLORS = {
     "pid": "#1f77b4",
@@ -51,12 +52,12 @@ def draw(contents: dict[str, dict[str, Any]]) -> Path:
     for offset, (name, names) in zip(offsets, entries.items(), strict=False):
         present = [i for i, entry in enumerate(names) if entry in scores]
         for axis, field in zip(axes, ("settling_s", "circle_mm"), strict=True):
-            means = [
-                np.array([[getattr(of[p], field).mean() for p in plants] for of in scores[names[i]]])
-                for i in present
-            ]
-            declared = means[0].mean(axis=0)
-            mean, low, high = np.exp([interval(np.log(values / declared)) for values in means]).T
+            points = []
+            for i in present:
+                pairs = zip(*of_same_seeds(files[names[i]], files[name]), strict=True)
+                means = [[_means(content, plants, field) for content in pair] for pair in pairs]
+                points.append(interval([np.log(model / declared) for model, declared in means]))
+            mean, low, high = np.exp(points).T
             at, error = np.array(present) + offset, [mean - low, high - mean]
             axis.errorbar(at, mean, error, fmt="o-", color=COLORS[name], capsize=2, markersize=4, label=name)
     axes[0].set_ylabel("settling time over declared model's")
@@ -72,3 +73,9 @@ def draw(contents: dict[str, dict[str, Any]]) -> Path:
     path = FIGURES / "gap.png"
     save_figure(figure, path)
     return path
+
+
+def _means(content: dict[str, Any], plants: list[int], field: str) -> Array:
+    """Return the means over the episodes of each plant of a field of its scores, shape (plants,)."""
+    scores = plant_scores(content)
+    return np.array([getattr(scores[plant], field).mean() for plant in plants])

@@ -231,7 +231,7 @@ def compare(contents: Sequence[dict[str, Any]], others: Sequence[dict[str, Any]]
 
     Args:
         contents: Result files of the entry, one per seed of its agent.
-        others: Result files of the other entry.
+        others: Result files of the other entry: one for each of the same seeds, or a single one.
         part: "reach" (settling times), "circle" or "square" (distances to the path).
 
     Returns:
@@ -242,7 +242,7 @@ def compare(contents: Sequence[dict[str, Any]], others: Sequence[dict[str, Any]]
     counts, ratios = [0, 0, 0, 0], []
     for index in sorted(set.intersection(*(set(scores) for scores in (*mine, *theirs)))):
         a, b = (np.array([getattr(scores[index], field) for scores in of]) for of in (mine, theirs))
-        ratios.append(a.mean(axis=1) / b.mean())
+        ratios.append(a.mean(axis=1) / b.mean(axis=1))
         difference = a.mean(axis=0) - b.mean(axis=0)
         mean, low, high = interval(difference)
         counts[0] += mean < 0.0

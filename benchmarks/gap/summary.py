@@ -45,6 +45,25 @@ def by_entry(contents: dict[str, dict[str, Any]]) -> Files:
     return files
 
 
+def of_same_seeds(
+    files: list[dict[str, Any]], others: list[dict[str, Any]]
+) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Pair the result files of two entries by the seed of their agents.
+
+    Args:
+        files: Result files of an entry, one per seed of its agent.
+        others: Result files of another entry.
+
+    Returns:
+        Those of each whose seed both have, in the order of the seeds.
+    """
+    first, second = (
+        {training_seed(content["entry"]["name"]): content for content in of} for of in (files, others)
+    )
+    both = [seed for seed in first if seed in second]
+    return [first[seed] for seed in both], [second[seed] for seed in both]
+
+
 def summarize(contents: dict[str, dict[str, Any]]) -> dict[str, Any]:
     """Compute the scores of all entries, with 95 % intervals over plants and seeds, and comparisons between them.
 
@@ -61,9 +80,9 @@ def summarize(contents: dict[str, dict[str, Any]]) -> dict[str, Any]:
     steps: dict[str, Any] = {}
     for name, of_seeds in files.items():
         base, _, step = name.rpartition("-")
-        declared = _of_same_seeds(files.get(base, []), of_seeds)
+        mine, declared = of_same_seeds(of_seeds, files.get(base, []))
         if step in STEPS and declared:
-            steps[name] = {part: compare(of_seeds, declared, part)._asdict() for part in PARTS}
+            steps[name] = {part: compare(mine, declared, part)._asdict() for part in PARTS}
     return {
         "digest": DIGEST,
         "episodes": EPISODES,
@@ -72,12 +91,6 @@ def summarize(contents: dict[str, dict[str, Any]]) -> dict[str, Any]:
         "learned": _learned_against_other(files, entries),
         "plants": _plants(files),
     }
-
-
-def _of_same_seeds(of_base: list[dict[str, Any]], of_seeds: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return the files of a base entry that have the seeds of other files: seeds are compared in pairs."""
-    seeds = {training_seed(content["entry"]["name"]) for content in of_seeds}
-    return [content for content in of_base if training_seed(content["entry"]["name"]) in seeds]
 
 
 def _learned_against_other(files: Files, entries: dict[str, Any]) -> dict[str, Any]:

@@ -417,10 +417,10 @@ def test_seeds_of_an_agent_are_one_entry() -> None:
 
 def test_a_model_is_compared_with_the_declared_one_by_seed() -> None:
     declared = [_content(f"ppo_mix-seed{seed}", [[0.4 + seed]]) for seed in range(3)]
-    corrected = [_content(f"ppo_mix-seed{seed}-corrected", [[0.2 + seed]]) for seed in (0, 2)]
+    corrected = [_content(f"ppo_mix-seed{seed}-corrected", [[0.2 + seed]]) for seed in (0, 2, 3)]
     summary = summarize({content["entry"]["name"]: content for content in (*declared, *corrected)})
     steps = summary["steps"]["ppo_mix-corrected"]["reach"]
-    assert steps["ratio"][0] == pytest.approx((0.2 + 2.2) / (0.4 + 2.4))
+    assert steps["ratio"][0] == pytest.approx((0.2 / 0.4 + 2.2 / 2.4) / 2)
 
 
 def test_intervals_are_over_plants_and_seeds() -> None:
