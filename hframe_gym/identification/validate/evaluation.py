@@ -25,6 +25,7 @@ from ..judge.criteria import SelectionCriteria
 from ..judge.verdict import (
     JUDGING_BANDWIDTH,
     Evidence,
+    certain_voltage_error,
     contradiction_of_names,
     contradiction_of_no_effect,
     remaining,
@@ -35,10 +36,6 @@ from ..predict.voltage_errors import simulation_error
 from ..propose.dependences import are_causes, rank_dependences
 from ..search.search_effects import SearchOutcome
 from .machine_errors import ModelEvaluation, PredictionErrors, evaluate_held_out
-
-# Part of the predicted error by voltages between the rows that is certain: errors that alternate from change to change
-# count two to four times too much. To exclude effects, no more than this part is needed.
-_CERTAIN_ERROR = 0.5
 
 
 @dataclass(frozen=True)
@@ -184,9 +181,8 @@ def _evidence(evaluated: Evaluated, differing: Sequence[str]) -> Evidence:
     agreeing = _agreeing(evaluated, differing)
 
     runs = validation.with_runs([run.name for run in agreeing])
-    of_voltages = simulation_error(evaluated.after.machine, runs)
-    if not evaluated.outcome.selected:
-        of_voltages *= _CERTAIN_ERROR
+    certain = certain_voltage_error(names=bool(evaluated.outcome.selected))
+    of_voltages = certain * simulation_error(evaluated.after.machine, runs)
     expected = np.hypot(validation.noise, of_voltages)
 
     def errors(model: ModelEvaluation) -> PredictionErrors:
