@@ -299,7 +299,8 @@ class TimingEvidence:
         variance: Function that returns the variance of the residual in the effect's direction, with the wider observer.
         confirmed: Reduction of the cost in runs to which the effect was not fitted, with the wider observer.
         fault: Why the machine with the effect is not physical.
-        held_out_denies: Function that returns whether the held-out runs excite the effect and deny it.
+        held_out_gain: Function that returns which fraction of the error of the held-out runs it removes, with the wider
+            observer; infinite without such runs.
     """
 
     search: tuple[float, float]
@@ -307,7 +308,7 @@ class TimingEvidence:
     variance: Callable[[], LongRunVariance]
     confirmed: Measured
     fault: Callable[[], str]
-    held_out_denies: Callable[[], bool]
+    held_out_gain: Measured
 
 
 def removed_fraction(without: float, with_effect: float) -> float:
@@ -336,4 +337,4 @@ def doubt_about_timing(evidence: TimingEvidence, criteria: SelectionCriteria) ->
         return BY_CHANCE
     if not _is_confirmed(gain, evidence.confirmed(), criteria):
         return "is not confirmed by runs that it was not fitted to"
-    return evidence.fault() or (NO_GAIN if evidence.held_out_denies() else "")
+    return evidence.fault() or (NO_GAIN if not evidence.held_out_gain() > 0.0 else "")

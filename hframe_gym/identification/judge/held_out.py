@@ -43,16 +43,6 @@ def is_excited(change: float, error: float) -> bool:
     return not change < MIN_EXCITATION**2 * error
 
 
-def is_denied(excited: bool, gain: float) -> bool:
-    """Return whether held-out runs that excite an effect show no gain by it.
-
-    Args:
-        excited: Whether they depend on the effect.
-        gain: Fraction of their squared error that it removes.
-    """
-    return excited and gain <= 0.0
-
-
 def worsens_simulation(log_ratios: Sequence[float]) -> bool:
     """Return whether the effects together make simulations of the held-out runs worse.
 
@@ -92,7 +82,7 @@ def refuted_effects(
         Labels, the weakest first, and the reason, a clause that follows "it ".
     """
     excited = [label for label, effect in effects.items() if effect.excited]
-    refuted, reason = [label for label in excited if is_denied(True, effects[label].gain)], NO_GAIN
+    refuted, reason = [label for label in excited if effects[label].gain <= 0.0], NO_GAIN
     if not refuted and worsens():
         refuted, reason = excited, WORSENS.format("it" if len(effects) == 1 else "all effects together")
     return tuple(sorted(refuted, key=lambda label: effects[label].gain)), reason

@@ -220,12 +220,12 @@ def test_a_machine_must_stay_physical(rises: bool, speeds: tuple[float, float], 
         ({"confirmed": lambda: 0.31}, ""),
         ({"confirmed": lambda: 0.29}, "is not confirmed by runs that it was not fitted to"),
         ({"fault": lambda: "diverges"}, "diverges"),
-        ({"held_out_denies": lambda: True}, "does not reduce the error of the held-out runs"),
+        ({"held_out_gain": lambda: 0.0}, "does not reduce the error of the held-out runs"),
     ],
 )
 def test_a_delay_must_be_fast_certain_and_confirmed(changes: dict[str, Any], reason: str) -> None:
     """It removes 3 % of the error with the observer of the search, and 10 % with the wider one."""
     sure = TimingEvidence(
-        (100.0, 97.0), (10.0, 9.0), lambda: LongRunVariance(1e-3), lambda: 1.0, lambda: "", lambda: False
+        (100.0, 97.0), (10.0, 9.0), lambda: LongRunVariance(1e-3), lambda: 1.0, lambda: "", lambda: 0.1
     )
     assert judge.doubt_about_timing(dataclasses.replace(sure, **changes), CRITERIA) == reason

@@ -28,7 +28,7 @@ class Script:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.chi2 = {SEARCH_BANDWIDTH: (100.0, 97.0), WIDE: (10.0, 9.0)}
         self.variance, self.confirmed, self.fault = 1.0, 1.0, ""
-        self.excited, self.held_out_gain = True, 0.2
+        self.held_out_gain = 0.2
         self.lag: float | None = None  # chi-squared with a lag instead of the delay
         self.lines: list[str] = []
         replaced = {
@@ -40,8 +40,7 @@ class Script:
             "long_run_variance": lambda fitted, label, data: LongRunVariance(self.variance),
             "leave_one_out_gain": lambda a, b, data: self.confirmed * (a.cost - b.cost),
             "plausibility_fault": lambda machine: self.fault,
-            "is_excited": lambda *arguments: self.excited,
-            "held_out_gain": lambda *arguments: self.held_out_gain,
+            "error_reduction": lambda *arguments: self.held_out_gain,
             "_trials": self.trials,
         }
         for name, function in replaced.items():
