@@ -15,9 +15,6 @@ from typing import Literal
 from .criteria import SelectionCriteria
 from .error import AS_GOOD, CLEAR, FitError, required_gain
 
-# On three rigs without effects, the error that is left is 0.33, 0.59 and 1.8 of the predicted one.
-_CERTAIN_VOLTAGE_ERROR = 0.5
-
 Verdict = Literal["effect_found", "no_effect", "unexplained"]
 
 
@@ -73,18 +70,6 @@ class Evidence:
         if not self.voltages_known:
             cause = "what noise and the unknown voltages between the rows cause"
         return f"{self.left:.3g} times {cause}{force} left on the held-out runs"
-
-
-def certain_voltage_error(*, names: bool) -> float:
-    """Return which part of the predicted error by voltages between the rows of a log counts as noise, dimensionless.
-
-    The prediction is up to four times too large, because errors that alternate from change to change of the voltage
-    cancel. Names stand if the error may have no other cause; to exclude effects, it must certainly have none.
-
-    Args:
-        names: Whether effects are named.
-    """
-    return 1.0 if names else _CERTAIN_VOLTAGE_ERROR
 
 
 def remaining(after: float, before: float, floor: float) -> float:

@@ -428,8 +428,8 @@ def reason_of_remainder(report: Mapping[str, Any]) -> str:
 
     Returns:
         What a formula that is recommended in place of a table leaves, if that is clearly less; what a table does not
-        describe, for another machine with a table; that voltages which the log lacks may be the cause, if the verdict
-        holds with them; or that the cause is not known.
+        describe, for another machine with a table; that voltages which the log lacks may be the cause; or that it is
+        not known.
     """
     tables = any(effect["name"].partition("[")[0] in HOOK_OF_KIND for effect in report["effects"])
     formulas = {
@@ -445,8 +445,8 @@ def reason_of_remainder(report: Mapping[str, Any]) -> str:
         return f"; with the proposed formula ({formulas[error]}) in place of the table, it is {number(error)} times"
     if tables:
         return ". A table has straight pieces and names no cause"
-    if report.get("unknown_voltages") and report["verdict"] != "unexplained":
-        return ", as the unknown voltages between the rows may cause"
+    if report.get("unknown_voltages"):
+        return ", of which the unknown voltages between the rows may cause a part or all"
     return ", whose cause was not found"
 
 

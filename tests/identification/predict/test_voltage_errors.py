@@ -243,8 +243,9 @@ def test_a_log_with_held_voltages_or_few_rows_is_not_fitted_by_instruments() -> 
     assert fit_slow_log(least_squares(), slow_log()) is least_squares()
 
 
-def test_the_error_that_unknown_voltages_cause_refutes_no_verdict() -> None:
+def test_the_error_that_unknown_voltages_cause_excludes_no_effect() -> None:
+    """Effects that hide behind it left up to 44 times the noise of the sensors."""
     result = identify([every(controlled(seed), UPDATES) for seed in range(4)], AXIS)
-    assert result.verdict == "no_effect"
-    assert result.after.held_out.noise_ratio > 10.0
-    assert "as the unknown voltages between the rows may cause" in reason_of_remainder(result.as_json())
+    assert result.verdict == "unexplained"
+    assert not result.effects
+    assert "the unknown voltages between the rows may cause" in reason_of_remainder(result.as_json())
