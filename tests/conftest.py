@@ -41,7 +41,11 @@ def pytest_collection() -> Generator[None, object, object]:
 
 @pytest.hookimpl(tryfirst=True)  # before pytest selects by marker
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark every test as `unit` that carries none of the markers in `NOT_UNIT`."""
+    """Mark every test as `unit` that carries none of the markers in `NOT_UNIT`, and put those of JAX last.
+
+    JAX starts threads, and a process with threads must not be forked, as the tests of interruptions do.
+    """
+    items.sort(key=lambda item: "jax" in item.path.name)
     for item in items:
         if not any(item.get_closest_marker(name) for name in NOT_UNIT):
             item.add_marker("unit")

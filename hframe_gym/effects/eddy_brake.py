@@ -19,6 +19,7 @@ EFFECT = Effect(
     formula="f = -c v / (1 + (v/v0)^2)",
     source="Wouterse 1991, IEE Proceedings B 138(4): torque 2 T / (v/v0 + v0/v) of eddy-current brakes",
     force=force,
+    needs_part="magnets",
     parameters=(
         EffectParameter("c", "viscous", 0.0, 1e6, scale=0.3, role="amplitude"),
         EffectParameter("v0", "speed", 1e-4, 1e3, scale=0.3, grid=(0.03, 0.1, 0.3)),

@@ -197,6 +197,8 @@ class Effect:
             at "belts" do not act on it. Empty if there is none.
         half_gap: Name of the parameter that is half the gap of this contact, in the unit of the coordinate before it.
         requires: Name of the effect that must be in the model at the same site before a search adds this one; or empty.
+        needs_part: Part that not every machine has, and without which the effect does not exist, such as "magnets". Of
+            effects that explain the same, those that need none are preferred. Empty if it needs none.
         impacts: Whether parts collide, so that small changes of a parameter change the motion irregularly.
         range_ends: Names of the parameters that are the lowest and the highest measurement of a sensor, if the effect
             limits its range (`Machine.measuring_ranges`).
@@ -246,6 +248,7 @@ class Effect:
     coordinate: str = ""
     belt: str = ""
     half_gap: str = ""
+    needs_part: str = ""
     impacts: bool = False
     requires: str = ""
     range_ends: tuple[str, str] | None = None

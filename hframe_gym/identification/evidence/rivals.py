@@ -39,13 +39,18 @@ def simplest_first(trials: list[Fit], current: Fit, criteria: SelectionCriteria)
 
     Returns:
         The same fits in a new order. First those that are as good as the best one: the fit with the fewest free
-        parameters first. Then all others: lowest cost first.
+        parameters first, of these an effect that needs no special part. Then all others: lowest cost first.
     """
     ranked = sorted(trials, key=lambda trial: trial.cost)
     if not ranked:
         return ranked
     limit = ranked[0].cost + equal_margin(current.error, ranked[0].cost, criteria)
-    return sorted(ranked, key=lambda trial: preference(trial.cost, len(trial.free), limit))
+
+    def key(trial: Fit) -> tuple[bool, int, bool]:
+        needs_part = bool(trial.machine.effects[-1].definition.needs_part)
+        return preference(trial.cost, len(trial.free), needs_part, limit)
+
+    return sorted(ranked, key=key)
 
 
 def limited_last(trials: list[Fit], current: Fit) -> list[Fit]:

@@ -20,15 +20,20 @@ def equal_margin(without: FitError, best_cost: float, criteria: SelectionCriteri
     return (1.0 - criteria.rival_gain_fraction) * (without.cost - best_cost)
 
 
-def preference(cost: float, parameters: int, limit: float) -> tuple[bool, int]:
+def preference(cost: float, parameters: int, needs_part: bool, limit: float) -> tuple[bool, int, bool]:
     """Return a key that sorts trials: of those up to a limit of the cost, the one with the fewest parameters first.
+
+    Of these, an effect that any machine may have comes before one that needs a part: friction that falls with speed was
+    called an eddy-current brake on a ball screw that has no magnets.
 
     Args:
         cost: Cost of the trial, dimensionless.
         parameters: Number of its free parameters.
+        needs_part: Whether its effect exists on machines with a certain part only.
         limit: Cost up to which trials are equally good, dimensionless.
     """
-    return cost > limit, parameters if cost <= limit else 0
+    equal = cost <= limit
+    return not equal, parameters if equal else 0, needs_part if equal else False
 
 
 @dataclass(frozen=True)
