@@ -26,7 +26,7 @@ from ..recordings import (
 from .excitation import check_excitation, constant_inputs
 from .findings import Finding, Severity, channel_unit
 from .identifiability import check_parameters
-from .input_noise import noisy_inputs
+from .input_noise import check_input_noise
 from .sampling import (
     check_input_timing,
     check_sampling,
@@ -149,7 +149,7 @@ def _faults_and_advice(
         distinct = without_repetitions(continuous)
         plausible = without_outliers(distinct, machine)
         findings += _outliers(distinct, plausible, machine) + _silences(plausible, machine)
-    findings += _motion_without_input(cleaned, rests, machine) + noisy_inputs(recordings, machine)
+    findings += _motion_without_input(cleaned, rests, machine) + check_input_noise(recordings, machine)
     if not moving:
         message = "nothing moves in any run: are the drives powered and the sensors connected?"
         return [*findings, Finding("fault", "", "", message)]

@@ -7,13 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..machine import Machine
-from ..preparation.input_noise import noise_of_input
-from ..preparation.input_noise import noisy_inputs as inputs_with_noise
+from ..preparation.input_noise import noise_of_input, noisy_inputs
 from ..recordings import Recording
 from .findings import Finding, channel_unit
 
 
-def noisy_inputs(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
+def check_input_noise(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
     """Report inputs that change from row to row like noise, where the input is a current or a torque.
 
     Voltages are commands as a rule, and a command may be random by intention.
@@ -27,7 +26,7 @@ def noisy_inputs(recordings: Sequence[Recording], machine: Machine) -> list[Find
     """
     findings = []
     for recording in recordings:
-        for j in inputs_with_noise(recording, machine):
+        for j in noisy_inputs(recording, machine):
             channel, values = machine.input_channels[j], recording.inputs[:, j]
             unit, noise = channel_unit(channel, machine), noise_of_input(values)
             size = float(np.sqrt(np.mean(values**2)))

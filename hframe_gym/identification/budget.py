@@ -30,7 +30,7 @@ COMPARISON_PART = 0.85  # part after which no comparison of the runs with each o
 Progress = Callable[[str, float, float], None]
 
 
-class Parts(NamedTuple):
+class StageEnds(NamedTuple):
     """Parts of the budget after which the stages of an identification end, dimensionless.
 
     The tests of what was found and the final fits took 5 to 20 % of the time of complete identifications. What follows
@@ -49,15 +49,15 @@ class Parts(NamedTuple):
     description: float
 
 
-_WITH_BELTS = Parts(search=0.7, tests=0.9, all_rows=0.9, description=0.9)
-_WITH_BELTS_IN_PART = Parts(search=0.6, tests=0.7, all_rows=0.85, description=0.85)
+_WITH_BELTS = StageEnds(search=0.7, tests=0.9, all_rows=0.9, description=0.9)
+_WITH_BELTS_IN_PART = StageEnds(search=0.6, tests=0.7, all_rows=0.85, description=0.85)
 # Where a search ends early, it rarely names the cause. The description, which then reduces the error most, takes 10 s
 # for the first effect.
-_WITHOUT_BELTS = Parts(search=0.6, tests=0.74, all_rows=0.74, description=0.9)
-_WITHOUT_BELTS_IN_PART = Parts(search=0.45, tests=0.55, all_rows=0.7, description=0.9)
+_WITHOUT_BELTS = StageEnds(search=0.6, tests=0.74, all_rows=0.74, description=0.9)
+_WITHOUT_BELTS_IN_PART = StageEnds(search=0.45, tests=0.55, all_rows=0.7, description=0.9)
 
 
-def parts_of(machine: Machine, *, in_part: bool = False) -> Parts:
+def stage_ends(machine: Machine, *, in_part: bool = False) -> StageEnds:
     """Return when the stages of an identification end: earlier without belts, where a description may follow.
 
     Args:

@@ -79,13 +79,8 @@ def identify(
         )
     load_plugins()  # the search tries their effects as well
     criteria, log = criteria or SelectionCriteria(), log or (lambda line: None)
-    # By name, so that no other order changes the result; of equal runs, the one that the user holds out is kept.
-    recordings = sorted(recordings, key=lambda recording: recording.name)
-    copies = copied_runs(sorted(recordings, key=lambda recording: recording.name not in held_out))
-    recordings = [recording for recording in recordings if recording.name not in copies]
-    copy_statements = tuple(_COPY.format(copy, original) for copy, original in copies.items())
-    for statement in copy_statements:
-        log(statement)
+    recordings = sorted(recordings, key=lambda recording: recording.name)  # no other order changes the result
+    recordings, copies = _without_copies(recordings, held_out, log)
 
     budget = _budget(budget, recordings, log)
 
@@ -104,7 +99,7 @@ def identify(
         log=log,
         budget=budget,
     )
-    found = found._replace(messages=(*copy_statements, *session.statements, *statements, *found.messages))
+    found = found._replace(messages=(*copies, *session.statements, *statements, *found.messages))
 
     # Validate: held-out runs judge verdict and names; nothing worse than a plain fit or the file is delivered.
     test = HeldOutTest(session, found.held_out, criteria)
@@ -134,6 +129,17 @@ def _budget(budget: float | Budget | None, recordings: Sequence[Recording], log:
         rows = sum(len(recording.time_s) for recording in recordings)
         log(f"{len(recordings)} runs, {rows} rows: at most about {budget.seconds:.0f} s of processor time")
     return budget
+
+
+def _without_copies(
+    recordings: Sequence[Recording], held_out: Sequence[str], log: Log
+) -> tuple[list[Recording], tuple[str, ...]]:
+    """Return the runs without copies of others, and a sentence about each; a run that the user holds out is kept."""
+    copies = copied_runs(sorted(recordings, key=lambda recording: recording.name not in held_out))
+    statements = tuple(_COPY.format(copy, original) for copy, original in copies.items())
+    for statement in statements:
+        log(statement)
+    return [recording for recording in recordings if recording.name not in copies], statements
 
 
 def _without_silent_runs(

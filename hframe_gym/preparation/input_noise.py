@@ -76,9 +76,8 @@ def answers_measurements(values: Array, outputs: Array) -> bool:
     causes, changes = causes[complete], changes[complete]
     if len(changes) < 10 * causes.shape[1]:  # a combination of fewer would explain noise
         return False
-    causes = causes / np.maximum(
-        np.abs(causes).max(axis=0), np.finfo(float).tiny
-    )  # sensors have different units
+    # Sensors have different units.
+    causes = causes / np.maximum(np.abs(causes).max(axis=0), np.finfo(float).tiny)
     combination = causes @ np.linalg.lstsq(causes, changes)[0]
     return bool(np.sum((changes - combination) ** 2) < (1.0 - _ANSWERED) * np.sum(changes**2))
 

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from hframe_gym.data_validation.input_noise import noisy_inputs
+from hframe_gym.data_validation.input_noise import check_input_noise
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import Recording
 
@@ -22,7 +22,7 @@ def machine_with(channel: str) -> Machine:
 def found(channel: str, values: np.ndarray, measured: np.ndarray | None = None) -> list[str]:
     outputs = np.zeros(len(TIME)) if measured is None else measured
     recording = Recording("run", TIME, values[:, None], outputs[:, None])
-    return [finding.message for finding in noisy_inputs([recording], machine_with(channel))]
+    return [finding.message for finding in check_input_noise([recording], machine_with(channel))]
 
 
 @pytest.mark.parametrize("noise", [0.2, 0.5])

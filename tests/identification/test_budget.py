@@ -14,9 +14,9 @@ from hframe_gym.identification.budget import (
     DEFAULT_SECONDS,
     Budget,
     BudgetEndedError,
-    parts_of,
     spend,
     spender,
+    stage_ends,
 )
 from hframe_gym.machine import BUILTIN_MACHINES
 from tests.identification.single_axis import AXIS, axis_runs, limited_runs
@@ -99,7 +99,7 @@ def test_by_default_an_identification_takes_two_minutes_of_processor_time() -> N
 def test_the_page_states_when_each_stage_ends() -> None:
     page = (Path(__file__).parents[2] / "docs" / "identification.md").read_text(encoding="utf-8")
     cases = [
-        parts_of(m, in_part=in_part)
+        stage_ends(m, in_part=in_part)
         for m in (BUILTIN_MACHINES["hframe"](), AXIS)
         for in_part in (False, True)
     ]
@@ -173,7 +173,7 @@ def test_a_budget_that_does_not_end_changes_nothing_and_one_that_ends_keeps_what
     early = identify(
         runs,
         AXIS,
-        budget=Budget((last[1] + 0.5) / parts_of(AXIS).search, clock=Clock(), progress=lambda *step: None),
+        budget=Budget((last[1] + 0.5) / stage_ends(AXIS).search, clock=Clock(), progress=lambda *step: None),
     )
     assert early.unfinished is not None
     assert [s.effect.label for s in early.effects] == ["current_limit@motor"]
@@ -185,7 +185,7 @@ def test_what_there_is_no_time_to_test_is_not_named() -> None:
     stages: list[str] = []
 
     def spent() -> float:
-        return parts_of(AXIS).tests if "comparing rivals" in stages else 0.0
+        return stage_ends(AXIS).tests if "comparing rivals" in stages else 0.0
 
     budget = Budget(1.0, clock=spent, progress=lambda doing, *time: stages.append(doing))
     result = identify(limited_runs([3.0, 3.0, 9.0]), AXIS, budget=budget)

@@ -11,7 +11,7 @@ import pytest
 
 from hframe_gym.dynamics import simulate
 from hframe_gym.identification import identify
-from hframe_gym.identification.budget import Budget, parts_of
+from hframe_gym.identification.budget import Budget, stage_ends
 from hframe_gym.preparation.dataset import Dataset
 from hframe_gym.preparation.excerpt import NORMAL_SESSION, describe_part, largest_share, representative_part
 from hframe_gym.preparation.session import prepare
@@ -111,7 +111,7 @@ def test_what_a_part_of_the_rows_shows_is_fitted_to_all_of_them(monkeypatch: pyt
 
     # Without time for that fit, what the part shows is the answer, and the report says so.
     def spent() -> float:
-        return parts_of(AXIS, in_part=True).all_rows if "fitting all rows" in lines else 0.0
+        return stage_ends(AXIS, in_part=True).all_rows if "fitting all rows" in lines else 0.0
 
     lines.clear()
     early = identify(runs, AXIS, budget=Budget(1.0, clock=spent), log=lines.append)

@@ -24,11 +24,6 @@ def run() -> Recording:
     return example_runs("rig_b")[1]
 
 
-def with_x(run: Recording, x: np.ndarray) -> Recording:
-    """Return the run with other measurements of x."""
-    return dataclasses.replace(run, outputs=np.column_stack([run.outputs[:, :X], x, run.outputs[:, X + 1 :]]))
-
-
 def held(values: np.ndarray, rows: int) -> np.ndarray:
     """Return a channel whose sensor measures only every that many rows; the log repeats its last measurement."""
     return np.asarray(values[np.arange(len(values)) // rows * rows])

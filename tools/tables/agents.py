@@ -124,7 +124,7 @@ def agent_ablation(results: dict[str, Any]) -> str:
     return _trainings(results["variants"])
 
 
-@table("agent_off_policy", results="agent_ablation")
+@table("agent_off_policy", source="agent_ablation")
 def agent_off_policy(results: dict[str, Any]) -> str:
     """Format the scores of trainings with SAC, TQC and CrossQ."""
     return _trainings(results["off_policy"])

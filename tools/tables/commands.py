@@ -68,7 +68,7 @@ def ray_scaling(results: dict[str, Any]) -> str:
     for name in ("training", "identification"):
         r = results[name]
         seconds = (f"{statistics.median(r[key]):.0f} s" for key in ("plain_s", "ray_s"))
-        ratio_cell = with_interval(r["ratio"], *r["spread"], digits=2)
+        ratio_cell = with_interval(r["ratio"], *r["spread"], decimals=2)
         equal = f"{r['equal']} of {r['compared']}"
         costs = f"{r['cpu_s_per_task']:.1f} s", f"{r['worker_memory_MB']:.0f} MB"
         rows.append([f"{r['tasks']} tasks of {name}", *seconds, ratio_cell, equal, *costs])
@@ -85,7 +85,7 @@ def ray_scaling(results: dict[str, Any]) -> str:
     return f"{markdown(header, rows)}\n\n{note} Load of the machine before the run: {results['load']:.1f}."
 
 
-@table("cluster_plan", results="ray_scaling")
+@table("cluster_plan", source="ray_scaling")
 def cluster_plan(results: dict[str, Any]) -> str:
     """Calculate core hours, memory and times on clusters from measured costs of tasks."""
     cards = [

@@ -20,8 +20,8 @@ def gap(results: dict[str, Any]) -> str:
             with_interval(*s["over_bound"]),
             with_interval(*s["settling_s"]),
             f"{100 * s['success'][0]:.1f} %",
-            with_interval(*(1e3 * mm for mm in s["circle_mm"]), digits=0),
-            with_interval(*(1e3 * mm for mm in s["square_mm"]), digits=0),
+            with_interval(*(1e3 * mm for mm in s["circle_mm"]), decimals=0),
+            with_interval(*(1e3 * mm for mm in s["square_mm"]), decimals=0),
             f"{s['belt_force_N']:.0f}",
             f"{100 * s['saturated'][0]:.1f} %",
             f"{100 * s['left'][0]:.1f} %",
@@ -50,7 +50,7 @@ def gap(results: dict[str, Any]) -> str:
     return markdown(header, rows)
 
 
-@table("gap_steps", results="gap")
+@table("gap_steps", source="gap")
 def gap_steps(results: dict[str, Any]) -> str:
     """Format how often each model of the plant is better than the declared one in gap-v1."""
     rows = []
@@ -65,7 +65,7 @@ def gap_steps(results: dict[str, Any]) -> str:
     return markdown(["entry, against its declared model", "plants", *titles], rows)
 
 
-@table("gap_learned", results="gap")
+@table("gap_learned", source="gap")
 def gap_learned(results: dict[str, Any]) -> str:
     """Format the best learned entry of gap-v1 against the best other one, by track and task."""
     rows = []
@@ -104,7 +104,7 @@ def model_error(results: dict[str, Any]) -> str:
     return markdown(["", "parameters and effects differ", "parameters differ", "exact", "gain"], rows)
 
 
-@table("gap_plants", results="gap")
+@table("gap_plants", source="gap")
 def gap_plants(results: dict[str, Any]) -> str:
     """Format what each plant of gap-v1 hides, what was identified, and settling times of two controllers."""
     names = [

@@ -195,7 +195,7 @@ def quantiles(values: dict[str, float]) -> str:
     return f"{values['median']:.3g}; {values['p95']:.3g}; {100 * values['within']:.0f} %"
 
 
-@table("random_rigs_totals", results=RANDOM_RIGS)
+@table("random_rigs_totals", source=RANDOM_RIGS)
 def random_rigs_totals(results: dict[str, Any]) -> str:
     """Format the totals of the rigs that were drawn at random, in open loop and under a position controller."""
     rows = []

@@ -203,7 +203,7 @@ def _cells_over_seeds(
 
 def _mean(score: Mapping[str, Any], digits: int = 3) -> str:
     """Format a mean with its interval."""
-    return with_interval(score["mean"], *score["ci95"], digits=digits)
+    return with_interval(score["mean"], *score["ci95"], decimals=digits)
 
 
 def _ratio(ratio: Mapping[str, Any] | None) -> str:

@@ -21,7 +21,7 @@ def pages() -> dict[Path, str]:
     readme = ROOT / "README.md"
     with_tables = (ROOT / "RESULTS.md", *sorted(DOCS.glob("*.md")))
     return (
-        {readme: filled(readme.read_text("utf-8"), surroundings=False)}
+        {readme: filled(readme.read_text("utf-8"), conditions=False)}
         | {page: filled(page.read_text("utf-8")) for page in with_tables}
         | {
             DOCS / "effects.md": effects_page(),

@@ -19,58 +19,58 @@ Formatter = Callable[[dict[str, Any]], str]
 
 
 class _Table(NamedTuple):
-    """How a table is formatted, and the name of the results that it shows."""
+    """How a table is formatted, and from which file of benchmarks/results, by its name without ending."""
 
     formatter: Formatter
-    results: str
+    source: str
 
 
 _TABLES: dict[str, _Table] = {}
 
 
-def table(*names: str, results: str | None = None) -> Callable[[Formatter], Formatter]:
+def table(*names: str, source: str | None = None) -> Callable[[Formatter], Formatter]:
     """Register the function that formats tables.
 
     Args:
         *names: Names of the tables on the pages.
-        results: Name of the file in benchmarks/results. Default: the name of the table.
+        source: Name of the file in benchmarks/results, without ending. Default: the name of the table.
 
     Returns:
         Decorator that returns its function.
     """
 
     def register(formatter: Formatter) -> Formatter:
-        _TABLES.update({name: _Table(formatter, results or name) for name in names})
+        _TABLES.update({name: _Table(formatter, source or name) for name in names})
         return formatter
 
     return register
 
 
-def markdown(header: Sequence[str], rows: Iterable[Sequence[str]], others: str = "---:") -> str:
+def markdown(header: Sequence[str], rows: Iterable[Sequence[str]], alignment: str = "---:") -> str:
     """Format a Markdown table.
 
     Args:
         header: Titles of the columns.
         rows: Cells of the rows.
-        others: Alignment of all columns but the first. Default: right.
+        alignment: Alignment of all columns but the first, which is left. Default: right.
 
     Returns:
         The table as lines of text.
     """
-    lines = [header, ["---", *[others] * (len(header) - 1)], *rows]
+    lines = [header, ["---", *[alignment] * (len(header) - 1)], *rows]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
-def with_interval(value: float, low: float, high: float, *, digits: int = 3) -> str:
+def with_interval(value: float, low: float, high: float, *, decimals: int = 3) -> str:
     """Format a mean or a ratio with its interval or spread, "1.05 (1.02 to 1.08)".
 
     Args:
-        value: Value.
-        low: Lower limit.
+        value: Mean or ratio.
+        low: Lower limit of the interval.
         high: Upper limit.
-        digits: Decimals of all three.
+        decimals: Number of decimals of all three.
     """
-    return f"{value:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})"
+    return f"{value:.{decimals}f} ({low:.{decimals}f} to {high:.{decimals}f})"
 
 
 def load_results(name: str) -> dict[str, Any]:
@@ -79,12 +79,12 @@ def load_results(name: str) -> dict[str, Any]:
     return content
 
 
-def filled(text: str, *, surroundings: bool = True) -> str:
-    """Replace the tables of a page by the present ones.
+def filled(text: str, *, conditions: bool = True) -> str:
+    """Write the tables of a page anew from the result files.
 
     Args:
         text: The page as it is.
-        surroundings: Whether a line below each table says on what it was measured.
+        conditions: Whether a line below each table states versions, cores and seed of the measurement.
 
     Returns:
         The page; tables without results are left as they are.
@@ -93,18 +93,18 @@ def filled(text: str, *, surroundings: bool = True) -> str:
         KeyError: If no function formats a table of the page.
     """
 
-    def content(match: re.Match[str]) -> str:
-        formatter, name = _TABLES[match[1]]
-        if not (RESULTS / f"{name}.json").is_file():
+    def rewritten(match: re.Match[str]) -> str:
+        formatter, source = _TABLES[match[1]]
+        if not (RESULTS / f"{source}.json").is_file():
             return match[0]
-        results = load_results(name)
-        note = f"\n\n{_surroundings(results)}" if surroundings else ""
+        results = load_results(source)
+        note = f"\n\n{_conditions(results)}" if conditions else ""
         return f"<!-- table: {match[1]} -->\n{formatter(results)}{note}\n<!-- end -->"
 
-    return re.sub(r"<!-- table: (\w+) -->.*?<!-- end -->", content, text, flags=re.DOTALL)
+    return re.sub(r"<!-- table: (\w+) -->.*?<!-- end -->", rewritten, text, flags=re.DOTALL)
 
 
-def _surroundings(results: dict[str, Any]) -> str:
+def _conditions(results: dict[str, Any]) -> str:
     """Return one line with the versions, cores and seed of a measurement."""
     versions = ", ".join(f"{k} {v}" for k, v in results["versions"].items())
     seed = "" if results["seed"] is None else f", seed {results['seed']}"

@@ -39,7 +39,7 @@ def throughput(results: dict[str, Any]) -> str:
         [
             name,
             *(f"{1e-6 * r[k]:.3g}" for k in ("ours_steps_per_s", "theirs_steps_per_s")),
-            with_interval(r["ratio"], *r["spread"], digits=0),
+            with_interval(r["ratio"], *r["spread"], decimals=0),
         ]
         for name, r in results["mujoco"].items()
         if "ratio" in r
@@ -59,7 +59,7 @@ def differentiable(results: dict[str, Any]) -> str:
                 row["friction"],
                 "state, voltages" + (", parameters" if row["by_parameters"] else ""),
                 f"{row['ours_steps_per_s']:.0f}",
-                with_interval(1.0 / row["ratio"], 1.0 / high, 1.0 / low, digits=1),
+                with_interval(1.0 / row["ratio"], 1.0 / high, 1.0 / low, decimals=1),
             ]
         )
     header = ["machine", "friction", "with respect to", "differentiated steps/s", "cost in simulated steps"]
@@ -79,7 +79,7 @@ def env_speed(results: dict[str, Any]) -> str:
     rows = []
     for name, result in results.items():
         if name.startswith(("over EnvPool", "single over")):
-            rows.append([name, with_interval(result["ratio"], *result["spread"], digits=2)])
+            rows.append([name, with_interval(result["ratio"], *result["spread"], decimals=2)])
         elif name.startswith("share of"):
             fractions = (
                 f"{100 * result[clock]['share']:.0f} % of {clock} time" for clock in ("processor", "wall")

@@ -61,8 +61,7 @@ def limited_last(trials: list[Fit], current: Fit) -> list[Fit]:
         current: Fit without a candidate, with the same observer bandwidth (rad/s) as the trials.
 
     Returns:
-        The same fits, with k parameters each (`theta`, shape (k,)); those that give way to others
-        (`judge.trial.gives_way`) are the last ones.
+        The same fits; those that give way to others (`judge.trial.gives_way`) are the last ones.
     """
 
     def gain(trial: Fit) -> float:

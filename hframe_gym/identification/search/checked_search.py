@@ -13,7 +13,7 @@ from typing import NamedTuple
 from ...machine import Machine
 from ...preparation.dataset import Dataset, with_known_positions
 from ...preparation.excerpt import LARGEST_FIT, describe_part, representative_part
-from ..budget import SECOND_SEARCH_PART, Budget, parts_of
+from ..budget import SECOND_SEARCH_PART, Budget, stage_ends
 from ..evidence.held_out import contradicting_held_out_runs, held_out_gain, is_excited, worsens_simulation
 from ..evidence.tried_effects import ConsideredEffect, Log
 from ..fit.estimation import Fit, fit
@@ -251,7 +251,7 @@ def _search(
         log,
         confirmed=confirmed,
         budget=budget,
-        parts=parts_of(machine, in_part=all_rows is not None),
+        ends=stage_ends(machine, in_part=all_rows is not None),
         refitted=known,
     )
     if all_rows is not None:

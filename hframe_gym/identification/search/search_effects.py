@@ -10,7 +10,7 @@ from typing import NamedTuple
 from ...effects.smooth_table import TABLE_FAMILY
 from ...machine import HOOKS, Effect, Machine, argument_names
 from ...preparation.dataset import Dataset
-from ..budget import Budget, BudgetEndedError, Parts, note_error, parts_of, spend
+from ..budget import Budget, BudgetEndedError, StageEnds, note_error, spend, stage_ends
 from ..evidence.significance import curves_of_one_variable
 from ..evidence.tried_effects import ConsideredEffect, Log, SelectedEffect, Selection
 from ..fit.estimation import Fit, fit, prediction_cost
@@ -87,7 +87,7 @@ def search_effects(
     *,
     confirmed: Confirmed | None = None,
     budget: Budget | None = None,
-    parts: Parts | None = None,
+    ends: StageEnds | None = None,
     refitted: Fit | None = None,
 ) -> SearchOutcome:
     """Refit a machine and search for the effects (deviations from the nominal model) that it lacks.
@@ -110,7 +110,7 @@ def search_effects(
             If it returns False, the outcome of a search in all runs is returned. Default: it returns True.
         budget: Processor time after which the search ends. The refit of the machine is always completed. Default: the
             search ends by itself.
-        parts: Parts of it after which search and tests end. Default: those of complete runs.
+        ends: Parts of it after which search and tests end. Default: those of complete runs.
         refitted: Fit of the machine to these runs at `SEARCH_BANDWIDTH`, if it is known already.
 
     Returns:
@@ -119,13 +119,13 @@ def search_effects(
         that was found to explain the other runs, else in all runs. What there is no time to test is not selected.
     """
     searches = [_Search(machine, data, criteria, log, refitted)]
-    budget, parts = budget or Budget(), parts or parts_of(machine)
+    budget, ends = budget or Budget(), ends or stage_ends(machine)
     try:
-        with budget.limiting(parts.search):
+        with budget.limiting(ends.search):
             return _search_with_suspect(searches, machine, data, criteria, log, confirmed)
     except BudgetEndedError:
         log(f"  {budget.reason} ({budget.doing}); what was found so far is tested")
-    tests = budget.until(parts.tests)
+    tests = budget.until(ends.tests)
     for search in reversed(searches[1:]):
         outcome = search.finished_early(tests)
         if outcome.explained:  # a run is only left out if one machine explains the others
@@ -155,7 +155,7 @@ def fitted_to_all_rows(
         Outcome with the machines that all rows determine; `found`, unfinished, if the budget ended before.
     """
     try:
-        with budget.limiting(parts_of(machine, in_part=True).all_rows):
+        with budget.limiting(stage_ends(machine, in_part=True).all_rows):
             spend("fitting all rows")
             log("fitting all rows")
             complete = estimate_lost_voltages(data, found.after.machine)
