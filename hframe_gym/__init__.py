@@ -29,6 +29,7 @@ import gymnasium as gym
 
 from .errors import InputError
 from .machine import SIMULATORS
+from .version import __version__
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -59,8 +60,6 @@ __all__ = [
     "save_machine",
     "simulate",
 ]
-
-__version__ = "0.4.0"  # the only place of the version; pyproject.toml reads it
 
 _SUBPACKAGES = {
     "EFFECTS": "effects",

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from hframe_gym import progress_records
 from hframe_gym.cli import app
 from hframe_gym.cli import progress as cli_progress
 from hframe_gym.cli.messages import print_warning
@@ -166,17 +167,15 @@ def test_warnings_about_numbers_and_of_other_libraries_are_not_for_the_user(
 def test_progress_for_a_program_has_the_error_of_the_best_machine_so_far(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv(cli_progress.PROGRESS_VARIABLE, "json")
+    monkeypatch.setenv("HFRAME_PROGRESS", "json")
     with search_progress(lambda line: None) as progress:
         budget = Budget(120.0, clock=lambda: 3.0, progress=progress)
         with budget.limiting():
             note_error(25.5)
             spend("trial fit 1")
             spend("trial fit 2")  # at once, so that it is left out
-    lines = [
-        line for line in capsys.readouterr().out.split("\n") if line.startswith(cli_progress.PROGRESS_MARK)
-    ]
-    assert [json.loads(line[1:]) for line in lines] == [
+    records = map(progress_records.record_of, capsys.readouterr().out.split("\n"))
+    assert [record for record in records if record is not None] == [
         {"doing": "trial fit 1", "spent": 0.0, "budget": 120.0, "error": 25.5}
     ]
     assert error_so_far() is None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 import sys
@@ -13,10 +12,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from .. import progress_records
 from ..operating_system import interrupt, own_group
 from .session import Session
 
-_PROGRESS_MARK = "\x1e"  # before each record of progress that `HFRAME_PROGRESS` requests
 _COLUMNS = "110"  # characters of a line of output
 _MOST_LINES = 2000  # of output that are kept; identifications print some hundred
 _PACKAGES = str(Path(__file__).resolve().parents[2])
@@ -129,7 +128,7 @@ class Job:
         """Run a command and collect its output; return its exit code."""
         paths = [_PACKAGES, *filter(None, [os.environ.get("PYTHONPATH")])]
         environment = os.environ | {
-            "HFRAME_PROGRESS": "json",
+            **progress_records.REQUEST,
             "PYTHONUNBUFFERED": "1",
             "PYTHONIOENCODING": "utf-8",
             "COLUMNS": _COLUMNS,
@@ -153,8 +152,8 @@ class Job:
 
     def _take(self, line: str) -> None:
         """Keep a line of output, or the progress that it tells."""
-        if line.startswith(_PROGRESS_MARK):
-            self.progress.update(json.loads(line[1:]))
+        if (record := progress_records.record_of(line)) is not None:
+            self.progress.update(record)
             return
         self.lines.append(line)
         del self.lines[:-_MOST_LINES]

@@ -16,7 +16,7 @@ from typing import Annotated
 
 import typer
 
-from .. import __version__
+from ..version import __version__
 from . import app_commands, control_commands, export_commands, machine_commands, recording_commands
 from .application import app
 from .messages import DEBUG_VARIABLE, FAULT_FOUND, describe_failure, print_warning

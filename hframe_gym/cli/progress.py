@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import signal
@@ -13,14 +12,12 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import TYPE_CHECKING
 
+from .. import progress_records
 from .output import console, plain_text
 
 if TYPE_CHECKING:
     from ..identification.budget import Budget
 
-# If "json", progress is printed as JSON for a program that started the command: one object a line, after PROGRESS_MARK.
-PROGRESS_VARIABLE = "HFRAME_PROGRESS"
-PROGRESS_MARK = "\x1e"  # the record separator of JSON text sequences (RFC 7464)
 _SECONDS_BETWEEN_RECORDS = 0.2  # s; a person does not see changes that are faster
 _SECONDS_BETWEEN_LINES = 10.0  # of processor time, where progress is no line at the bottom of a terminal
 # What the user's Ctrl-C sends, and what another program sends in its place on Windows.
@@ -36,7 +33,7 @@ def progress_bar(description: str) -> Iterator[Callable[[int, int], None]]:
     """
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-    if os.environ.get(PROGRESS_VARIABLE) == "json":
+    if progress_records.requested():
         record = _progress_records()
         yield lambda done, total: record(doing=description, done=done, total=total)
         return
@@ -55,7 +52,7 @@ def _progress_records() -> Callable[..., None]:
         now = time.monotonic()
         if now - last >= _SECONDS_BETWEEN_RECORDS or values.get("done") == values.get("total", math.nan):
             last = now
-            print(f"{PROGRESS_MARK}{json.dumps(values)}", flush=True)
+            print(progress_records.line_of(values), flush=True)
 
     return record
 
@@ -72,7 +69,7 @@ def search_progress(log: Callable[[str], None]) -> Iterator[Callable[[str, float
     """
     from ..identification.budget import error_so_far
 
-    if os.environ.get(PROGRESS_VARIABLE) == "json":
+    if progress_records.requested():
         record = _progress_records()
         yield lambda doing, spent, seconds: record(
             doing=doing, spent=spent, budget=seconds if math.isfinite(seconds) else None, error=error_so_far()

@@ -20,7 +20,6 @@ import numpy as np
 from gymnasium.envs.registration import EnvSpec
 from typing_extensions import override
 
-from .. import __version__
 from ..arrays import Actions, KeyedObservation, Mask
 from ..controllers import Controller
 from ..dynamics import NotFiniteError
@@ -29,6 +28,7 @@ from ..errors import InputError, naming_extra
 from ..files import atomic_file, output_batch, scratch_folder
 from ..machine import BUILTIN_MACHINES, Machine
 from ..recordings import machine_to_dict, save_machine
+from ..version import __version__
 from .scenario import Scenario, make_controller
 
 RANDOM = "random"  # name of a data set of uniformly random actions

@@ -26,6 +26,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from ..arrays import Array
 from ..errors import InputError
 from ..files import write_text
+from ..version import __version__
 from .metrics import BANDS, BOUND_BAND, ratio_of_means, stored_bounds
 from .protocols import Draws, Entry, Protocol, get_protocol
 from .runner import SAMPLES_PER_PERIOD
@@ -135,8 +136,6 @@ def installed_versions(packages: Iterable[str]) -> dict[str, str]:
 
     Of this package it is that of the code that runs: an editable installation keeps the number of the day it was made.
     """
-    from .. import __version__
-
     versions = {}
     for package in packages:
         try:

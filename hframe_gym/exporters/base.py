@@ -21,6 +21,7 @@ from ..files import atomic_file, output_batch
 from ..machine import Coordinate, Machine, rest_positions_per_axis, rest_state
 from ..recordings import load_machine, machine_to_dict
 from ..registry import Registry
+from ..version import __version__
 
 Files = Mapping[str, str | bytes]
 HELP, ARGUMENT, CLI_TYPE, RANGE = "help", "argument", "cli_type", "range"  # keys of the metadata of a field
@@ -140,8 +141,6 @@ class MachineExporter(Exporter):
 
     def provenance(self, machine: Machine) -> dict[str, Any]:
         """Describe where an export comes from: machine and its hash, options and version, but no date."""
-        from .. import __version__
-
         content = json.dumps(machine_to_dict(machine), sort_keys=True)
         options = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name != "machine"}
         return {

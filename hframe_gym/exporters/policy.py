@@ -15,6 +15,7 @@ from typing_extensions import override
 from ..errors import InputError
 from ..files import atomic_file, output_batch
 from ..machine import observed_coordinates
+from ..version import __version__
 from .base import EXPORTERS, Exporter, argument, json_text, option
 
 OPSET = 17  # of ONNX, from 2022; runtimes since then have it
@@ -174,8 +175,6 @@ def _onnx(network: Any, keys: list[str], example: tuple[Any, ...]) -> bytes:
 
 def _contract(agent: Any, keys: list[str], example: tuple[Any, ...], name: str) -> dict[str, Any]:
     """Return the description of inputs and outputs."""
-    from .. import __version__
-
     machine = agent.machine
     observed = observed_coordinates(machine)
     sensors = agent.card["settings"].get("env", {}).get("sensors", "state")

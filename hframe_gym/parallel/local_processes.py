@@ -13,7 +13,8 @@ from multiprocessing import active_children, get_context, parent_process
 from queue import SimpleQueue
 from typing import Any
 
-from .worker import ATTEMPTS, own_version, run_task, task_settings
+from ..version import __version__
+from .worker import ATTEMPTS, run_task, task_settings
 
 
 class _LocalWorker:
@@ -83,7 +84,7 @@ def local_processes(count: int) -> Iterator[Callable[..., Any]]:
     settings = task_settings()
     threads = ThreadPoolExecutor(count)
     try:
-        yield lambda function, item: threads.submit(run, function, item, own_version(), settings)
+        yield lambda function, item: threads.submit(run, function, item, __version__, settings)
     finally:
         threads.shutdown(wait=False, cancel_futures=True)
         for worker in workers:

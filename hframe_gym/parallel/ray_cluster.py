@@ -13,7 +13,8 @@ from contextlib import contextmanager
 from typing import Any
 
 from ..errors import InputError, naming_extra
-from .worker import ATTEMPTS, own_version, run_task, task_settings
+from ..version import __version__
+from .worker import ATTEMPTS, run_task, task_settings
 
 LOCAL_RAY = "local"  # address that starts Ray on this machine
 _CONNECTION_TIMEOUT_S = 5.0
@@ -34,7 +35,7 @@ def ray_workers(address: str, cores: int) -> Iterator[Callable[..., Any]]:
     remote: Any = ray.remote(num_cpus=1, max_retries=ATTEMPTS - 1)(run_task)
     settings = task_settings()
     try:
-        yield lambda function, item: remote.remote(function, item, own_version(), settings).future()
+        yield lambda function, item: remote.remote(function, item, __version__, settings).future()
     finally:
         if connected:
             ray.shutdown()

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping
-from importlib import import_module
 from typing import TypeVar
 
 from ..errors import InputError
+from ..version import __version__
 
 ATTEMPTS = 3  # of a task whose worker dies
 # One thread per worker, so that workers do not compete for cores. The results do not depend on the number of threads.
@@ -25,18 +25,13 @@ def run_task(
     """Run a task in a worker, with one thread and the settings of the calling program."""
     from threadpoolctl import threadpool_limits
 
-    if version != own_version():
+    if version != __version__:
         raise InputError(
-            f"a worker has hframe_gym {own_version()}, this program {version}: install the same version on all machines"
+            f"a worker has hframe_gym {__version__}, this program {version}: install the same version on all machines"
         )
     os.environ.update(settings)
     with threadpool_limits(1):  # libraries that are loaded later read the variables
         return function(item)
-
-
-def own_version() -> str:
-    """Return the version of this package."""
-    return str(import_module(__name__.partition(".")[0]).__version__)
 
 
 def task_settings() -> dict[str, str]:

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-import hframe_gym
 from hframe_gym.controllers import CONTROLLERS, Controller
 from hframe_gym.envs import HFrameVectorEnv, LogUniform
 from hframe_gym.errors import InputError
@@ -29,6 +28,7 @@ from hframe_gym.evaluation import (
     installed_versions,
     paired_ratio,
     protocol_bounds,
+    protocol_results,
     protocols,
     read_result,
     result_content,
@@ -49,7 +49,7 @@ HFRAME = BUILTIN_MACHINES["hframe"]()
 
 def test_results_state_the_version_of_the_code_that_ran(monkeypatch: pytest.MonkeyPatch) -> None:
     """Not that of the installation, which an editable one keeps; packages that are not installed are omitted."""
-    monkeypatch.setattr(hframe_gym, "__version__", "99.0")
+    monkeypatch.setattr(protocol_results, "__version__", "99.0")
     versions = installed_versions(("hframe_gym", "numpy", "no_such_package"))
     assert versions == {"hframe_gym": "99.0", "numpy": np.__version__}
 

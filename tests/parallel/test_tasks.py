@@ -71,7 +71,7 @@ def test_workers_use_one_thread_and_the_program_keeps_its_settings(monkeypatch: 
 
 
 def test_another_version_in_a_worker_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(local_processes, "own_version", lambda: "99.0")
+    monkeypatch.setattr(local_processes, "__version__", "99.0")
     with pytest.raises(
         InputError, match=r"a worker has hframe_gym .*, this program 99\.0: install the same version"
     ):

@@ -8,9 +8,10 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from datetime import UTC, datetime
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
+
+from ...version import __version__
 
 _BLOCK = 1 << 20  # bytes read at once
 
@@ -26,7 +27,7 @@ def provenance(files: Sequence[Path]) -> dict[str, Any]:
         "sha256" of each file that can be read.
     """
     return {
-        "software": f"hframe_gym {version('hframe_gym')}",
+        "software": f"hframe_gym {__version__}",
         "time": datetime.now(UTC).isoformat(timespec="seconds"),
         "files": [_description(path) for path in files if path.is_file()],
     }

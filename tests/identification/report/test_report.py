@@ -8,7 +8,6 @@ import hashlib
 import json
 import re
 import shlex
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +36,7 @@ from hframe_gym.identification.report.saved_result import load_result, next_comm
 from hframe_gym.identification.validate.machine_errors import PredictionErrors
 from hframe_gym.identification.validate.simpler_machines import PlainResult
 from hframe_gym.machine import BUILTIN_MACHINES, Machine, Uncertainty
+from hframe_gym.version import __version__
 from hframe_gym.web_page import Panel, save_panels
 from tests.identification.single_axis import AXIS, PRESLIDING, axis_result, axis_runs
 
@@ -327,7 +327,7 @@ def test_the_page_tells_where_the_result_comes_from(data: Dataset, tmp_path: Pat
     assert made["files"] == [{"name": "run_0.csv", "bytes": 7, "sha256": digest}]
     foot = build_report(tmp_path / "out").read_text().partition("<footer>")[2]
     day, clock = made["time"][:10], made["time"][11:16]
-    words = f"Identified on {day} at {clock} UTC with hframe_gym {version('hframe_gym')}, from 1 file."
+    words = f"Identified on {day} at {clock} UTC with hframe_gym {__version__}, from 1 file."
     assert words in " ".join(foot.split())
     assert digest[:16] in foot
 
