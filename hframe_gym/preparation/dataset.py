@@ -21,6 +21,7 @@ from .encoder_zeros import EncoderZeros
 from .initial_state import model_initial_states
 from .interpolated_voltages import Interpolation
 from .rest_measurement import InitialState
+from .sensor_zeros import max_zero_means
 
 MIN_ROWS = 20  # rows of a run that the filters of the residual need
 _STEADY_SPEED = 10.0  # times the noise or step of a sensor of speeds; an offset at standstill is smaller
@@ -177,6 +178,22 @@ class Dataset:
     def period(self) -> float:
         """Median sampling period over all runs, s."""
         return float(np.median(np.concatenate([np.diff(run.time_s) for run in self.runs])))
+
+    def fitted_zero_limits(self, run: PreparedRecording) -> Array:
+        """Return how far, in a fit, the zero of each sensor may differ from its estimate by the rows at rest of a run.
+
+        The limits differ from those of `max_zero_means` for a sensor without quantization. It gives the initial
+        position, and the noise of its few measurements at rest makes this position wrong by a constant over the
+        complete run. The mean error over the run is the best estimate of this constant. If it remained in the residual,
+        parameters would adapt to it. Where a sensor did not measure at rest, later measurements of it determine the
+        initial position.
+
+        Returns:
+            Limits, m or rad, shape (sensors,): infinite behind belts and, if `means_are_zeros`, for sensors without
+            quantization that measured at rest; otherwise half a quantization step.
+        """
+        by_mean = self.means_are_zeros & run.initial.measured_at_rest & (self.quantum == 0.0)
+        return np.where(by_mean, np.inf, max_zero_means(self.behind_belts, self.quantum))
 
     def with_runs(self, names: Sequence[str]) -> Dataset:
         """Return a copy with some of the runs; the sensors' noise and quantization steps are not estimated again.

@@ -94,27 +94,6 @@ def max_reported_zero_means(machine: Machine, initial: InitialState, quanta: Arr
     return np.where(behind, stretched, limits)
 
 
-def max_fitted_zero_means(behind: NDArray[np.bool_], quanta: Array, at_rest: NDArray[np.bool_]) -> Array:
-    """Return how far, in a fit, the zero of each sensor may differ from its estimate by the rows at rest.
-
-    The zero is the measurement at position 0. The limits differ from those of `max_zero_means` for a sensor without
-    quantization. It gives the initial position, and the noise of its few measurements at rest makes this position wrong
-    by a constant over the complete run. The mean error over the run is the best estimate of this constant. If it
-    remained in the residual, parameters would adapt to it.
-
-    Args:
-        behind: True for encoders on pulleys, which elastic belts separate from the tool, shape (sensors,).
-        quanta: Quantization steps of the sensors, m or rad, 0 where there is none, shape (sensors,).
-        at_rest: True for sensors that measured at rest, shape (sensors,). The limits of all other sensors are those of
-            `max_zero_means`, because later measurements of these sensors determine the initial position.
-
-    Returns:
-        Limits, m or rad, shape (sensors,): infinite behind belts and for sensors without quantization that
-        measured at rest, otherwise half a quantization step.
-    """
-    return np.where((quanta == 0.0) & at_rest, np.inf, max_zero_means(behind, quanta))
-
-
 def behind_belts(machine: Machine) -> NDArray[np.bool_]:
     """Return which sensors are encoders on pulleys, which elastic belts separate from the tool.
 

@@ -26,7 +26,7 @@ from ...parallel import single_threaded_linear_algebra
 from ...preparation.belt_stretch import rigid_basis
 from ...preparation.dataset import Dataset, PreparedRecording
 from ...preparation.interpolated_voltages import at_updates, update_times, updated_inputs
-from ...preparation.sensor_zeros import max_fitted_zero_means, max_zero_means, sensor_zero_error
+from ...preparation.sensor_zeros import max_zero_means, sensor_zero_error
 
 T = TypeVar("T")
 SEARCH_BANDWIDTH = 60.0  # rad/s; confines the error of a wrong model to a few hundredths of a second
@@ -344,13 +344,7 @@ def prediction_error(
     measured = np.isfinite(run.outputs)
     error: Array = run.outputs - measurements
     error[:, ~measured] = 0.0
-    max_mean = (
-        max_fitted_zero_means(
-            data.behind_belts, data.quantum, run.initial.measured_at_rest & data.means_are_zeros
-        )
-        if fitted
-        else max_zero_means(data.behind_belts, data.quantum)
-    )
+    max_mean = data.fitted_zero_limits(run) if fitted else max_zero_means(data.behind_belts, data.quantum)
     weights = run.weights if fitted else measured
     weights = weights if data.has_zero is None else weights * data.has_zero
     zero = sensor_zero_error(error, weights, run.initial.resting_rows, max_mean, data.quantum)

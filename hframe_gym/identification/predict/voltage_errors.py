@@ -34,7 +34,6 @@ from typing_extensions import override
 from ...arrays import Array
 from ...machine import Machine
 from ...preparation.dataset import Dataset, PreparedRecording, VoltageErrors
-from ...preparation.sensor_zeros import max_fitted_zero_means
 from .prediction import (
     POLISH_STEP,
     SIMULATION,
@@ -267,11 +266,8 @@ class InterpolationErrors(VoltageErrors):
         of the zeros have constant innovations, of all sensors; those that were not measured are 0.
         """
         run, data = self._run, self._data
-        limits = max_fitted_zero_means(
-            data.behind_belts, data.quantum, run.initial.measured_at_rest & data.means_are_zeros
-        )
         scales = np.sqrt(run.weights) / run.noise
-        free = np.flatnonzero(np.isinf(limits) & (run.weights.sum(axis=0) > 0.0))
+        free = np.flatnonzero(np.isinf(data.fitted_zero_limits(run)) & (run.weights.sum(axis=0) > 0.0))
         responses = np.zeros((len(free), *scales.shape))
         responses[np.arange(len(free)), :, free] = (scales[:, free] / scales[:, free].max(axis=0)).T
         return responses.reshape(len(free), scales.size)
