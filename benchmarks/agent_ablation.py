@@ -24,9 +24,10 @@ from typing import Any
 import numpy as np
 
 from benchmarks.agents import ratio
-from benchmarks.results_file import RESULTS, write_results
+from benchmarks.results_file import write_results
 from hframe_gym.agents import Agent, Recipe, load_recipe, train
 from hframe_gym.evaluation import BANDS, BOUND_BAND, Scenario, rollout, settling_times, stored_bounds
+from tools.repository import RESULTS
 
 SCENARIO = Scenario(episodes=512, seed=0)
 NAME = "agent_ablation"

@@ -25,12 +25,13 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from benchmarks.agents import SHIPPED, TRIAL, criterion, drive, ratio, scenario, scores
-from benchmarks.results_file import FIGURES, RESULTS, ROOT, save_figure, write_results
+from benchmarks.results_file import save_figure, write_results
 from hframe_gym.agents import Agent, Recipe, load_recipe, shipped_agent_folder, train
 from hframe_gym.agents.agent_files import read_training_card
 from hframe_gym.errors import InputError
 from hframe_gym.evaluation import stored_bounds
 from hframe_gym.parallel import map_tasks
+from tools.repository import FIGURES, RESULTS, ROOT
 
 NAME, TASK = "agent_seeds", "reach"
 COLORS = ("#1b6ca8", "#c4513d", "#3b7d4f", "#8a5fa8")

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import bootstrap
 
-from benchmarks.results_file import RESULTS, write_results
+from benchmarks.results_file import write_results
 from hframe_gym.agents import Agent, train
 from hframe_gym.agents.model_card import write_card
 from hframe_gym.arrays import Array
@@ -45,8 +45,9 @@ from hframe_gym.evaluation import (
     stored_bounds,
 )
 from hframe_gym.machine import BUILTIN_MACHINES
+from tools.repository import RESULTS, ROOT
 
-SHIPPED = Path(__file__).parents[1] / "agents" / "shipped"
+SHIPPED = ROOT / "agents" / "shipped"
 FILES = ("agent.json", "machine.json", "policy.safetensors", "card.json")
 TRIAL: dict[str, Any] = {"episodes": 512, "seed": 1000}  # episodes that no choice was based on
 TRIALS: dict[str, dict[str, TaskLike]] = {

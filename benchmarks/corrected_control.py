@@ -36,7 +36,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks.corrected_control_plots import draw
-from benchmarks.results_file import RESULTS, write_results
+from benchmarks.results_file import write_results
 from benchmarks.rig_loop import PERIOD_S, Driven, drive
 from hframe_gym.agents import Agent, load_recipe, train
 from hframe_gym.arrays import Array
@@ -48,6 +48,7 @@ from hframe_gym.machine import Machine
 from hframe_gym.recordings import load_machine
 from tests.rigs.cases import cases
 from tests.rigs.recording_sessions import DEFAULT_FOLDER, Session, record
+from tools.repository import RESULTS
 
 CACHE = Path("out/corrected_control")
 RIGS = (

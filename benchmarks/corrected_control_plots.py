@@ -10,7 +10,8 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from benchmarks.results_file import FIGURES, save_figure
+from benchmarks.results_file import save_figure
+from tools.repository import FIGURES
 
 COLORS = {"declared": "#c4513d", "refitted": "#e0b04c", "corrected": "#3b7d4f"}
 PANELS = {

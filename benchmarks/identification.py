@@ -31,13 +31,14 @@ from rich.console import Console
 from rich.table import Table
 
 import hframe_gym
-from benchmarks.results_file import RESULTS, write_results
+from benchmarks.results_file import write_results
 from benchmarks.scoring import SCORES, score_session
 from hframe_gym.files import write_text
 from hframe_gym.identification import identify
 from hframe_gym.recordings import load_machine, load_recordings
 from tests.rigs.cases import Case, cases, select_cases
 from tests.rigs.recording_sessions import DEFAULT_FOLDER, record
+from tools.repository import RESULTS
 
 CACHE = Path("out/identification")
 MAX_NOISE_RATIO = 1.1  # required error with the effects, in multiples of the sensor noise

@@ -11,8 +11,9 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from benchmarks.results_file import FIGURES, save_figure
+from benchmarks.results_file import save_figure
 from benchmarks.scoring import SCORES
+from tools.repository import FIGURES
 
 COLORS = dict(zip(SCORES, ("#3b7d4f", "#c9c9c9", "#9fc2a8", "#e0b04c", "#c4513d", "#7a1f12"), strict=True))
 _MIN_UM = 0.05  # lower errors are drawn at this value

@@ -32,7 +32,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks import closed_loop_rigs, other_simulator_rigs
-from benchmarks.results_file import ROOT, data_root
+from benchmarks.results_file import data_root
 from benchmarks.scoring import score_names
 from hframe_gym.files import atomic_file
 from hframe_gym.identification import Fit, SelectionCriteria, identify, judge
@@ -42,6 +42,7 @@ from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import Recording, load_machine, load_recordings
 from tests.rigs import outside_rigs, random_rigs
 from tests.rigs.random_effects import DrawnEffect
+from tools.repository import ROOT
 
 FOLDER = Path("out/judgments")
 FACTORS = (0.5, 2.0)

@@ -28,10 +28,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.results_file import FIGURES, RESULTS, ROOT, save_figure, write_results
+from benchmarks.results_file import save_figure, write_results
 from hframe_gym.envs import EnvConfig, HFrameVectorEnv
 from hframe_gym.evaluation import installed_versions
 from tools.code_blocks import read_blocks
+from tools.repository import FIGURES, RESULTS, ROOT
 
 NAME, PAGE = "library_programs", ROOT / "docs" / "with_your_library.md"
 EPISODES, EPISODE_S = 256, 1.5

@@ -22,7 +22,7 @@ from typing import Any
 
 from benchmarks.gap.plants import declared_machine
 from benchmarks.gap.results import interval
-from benchmarks.results_file import RESULTS, ROOT, write_results
+from benchmarks.results_file import write_results
 from hframe_gym.agents import Agent, load_recipe, shipped_agent_folder, train
 from hframe_gym.arrays import Array
 from hframe_gym.controllers import CONTROLLERS, Controller
@@ -30,6 +30,7 @@ from hframe_gym.envs.domain_randomization import RANDOMIZATION_PRESETS
 from hframe_gym.evaluation import Scenario, rollout, settling_times
 from hframe_gym.evaluation.undeclared_effects import effect_rules, with_absent_effects
 from hframe_gym.machine import BUILTIN_MACHINES
+from tools.repository import RESULTS, ROOT
 
 NAME = "model_error"
 SEED, BAND_M = 5_000_000, 2e-4

@@ -19,12 +19,13 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.identification import source_key
-from benchmarks.results_file import ROOT, write_results
+from benchmarks.results_file import write_results
 from benchmarks.rig_score import identify_rig, unseen_errors
 from hframe_gym.files import write_text
 from hframe_gym.machine import BUILTIN_MACHINES
 from tests.rigs.random_effects import DrawnEffect
 from tests.rigs.random_rigs import describe_effects
+from tools.repository import ROOT
 
 DATA = ROOT / "benchmarks" / "data" / "other_simulator"
 CACHE = Path("out/other_simulator_rigs")

@@ -35,7 +35,7 @@ from rich.table import Table
 
 from benchmarks.identification import source_key
 from benchmarks.random_rigs import rig_key
-from benchmarks.results_file import ROOT, write_results
+from benchmarks.results_file import write_results
 from benchmarks.rig_score import NOISE, unseen_errors
 from hframe_gym.files import write_text
 from hframe_gym.identification import IdentificationResult, identify
@@ -43,6 +43,7 @@ from hframe_gym.machine import BUILTIN_MACHINES
 from hframe_gym.parallel import map_tasks
 from tests.rigs.outside_effects import OutsideEffect
 from tests.rigs.outside_rigs import COUNT, OutsideSession, draw_rig
+from tools.repository import ROOT
 
 CACHE = Path("out/outside_library")
 MUCH_LEFT = 10.0  # times the noise

@@ -17,12 +17,13 @@ from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.results_file import FIGURES, write_results
+from benchmarks.results_file import write_results
 from hframe_gym.arrays import Array
 from hframe_gym.dynamics import mode_frequencies, simulate
 from hframe_gym.files import atomic_file
 from hframe_gym.machine import BUILTIN_MACHINES, Machine, with_constant_stiffness
 from hframe_gym.machine.presets import STIFFNESS
+from tools.repository import FIGURES
 
 CENTER = {"x": -0.2227, "y": -0.1163}  # m, where Table 1's stiffness holds
 LASER_RANGE = 0.1  # m

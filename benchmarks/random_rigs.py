@@ -34,7 +34,7 @@ from rich.console import Console
 
 from benchmarks.identification import source_key
 from benchmarks.random_rigs_summary import show, summary
-from benchmarks.results_file import ROOT, write_results
+from benchmarks.results_file import write_results
 from benchmarks.rig_score import score_rig
 from hframe_gym.files import write_text
 from hframe_gym.identification import IdentificationResult, identify
@@ -42,6 +42,7 @@ from hframe_gym.machine import BUILTIN_MACHINES
 from hframe_gym.parallel import LOCAL_RAY, map_tasks
 from tests.rigs.fresh_process import in_fresh_process
 from tests.rigs.random_rigs import RandomSession, draw_rig
+from tools.repository import ROOT
 
 CACHE = Path("out/random_rigs")
 DEVELOPMENT_SEED = 1

@@ -13,7 +13,8 @@ import numpy as np
 from scipy.stats import norm
 
 from benchmarks.random_rigs_summary import MAX_RELATIVE_STD, Row, split_by_residue
-from benchmarks.results_file import FIGURES, save_figure
+from benchmarks.results_file import save_figure
+from tools.repository import FIGURES
 
 _GREEN, _RED, _GRAY, _AMBER = "#3b7d4f", "#c4513d", "0.6", "#e0b04c"
 _RATIO_LIMITS = (0.5, 1e3)  # ratios beyond are drawn at the limit

@@ -23,13 +23,14 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from benchmarks.results_file import ROOT, write_results
+from benchmarks.results_file import write_results
 from hframe_gym.agents import train
 from hframe_gym.identification import identify
 from hframe_gym.machine import BUILTIN_MACHINES
 from hframe_gym.parallel import LOCAL_RAY, map_tasks
 from hframe_gym.recordings import load_recordings
 from tools.posix import peak_megabytes, require_posix
+from tools.repository import ROOT
 
 WORKERS = 2
 STEPS = 60_000  # of a training

@@ -11,10 +11,8 @@ from typing import Any
 from hframe_gym.dynamics.simulation import threads
 from hframe_gym.evaluation import installed_versions
 from hframe_gym.files import write_text
+from tools.repository import RESULTS, ROOT
 
-ROOT = Path(__file__).parents[1]
-RESULTS = ROOT / "benchmarks" / "results"
-FIGURES = ROOT / "docs" / "figures"
 _PACKAGES = (
     "numpy",
     "numba",

@@ -13,8 +13,8 @@ import pytest
 from packaging.requirements import Requirement
 
 from tools import dependencies, house
+from tools.repository import ROOT
 
-ROOT = house.ROOT
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
 
 

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from tools.code_blocks import EXECUTED, ROOT, SHOWN, Block, read_blocks
+from tools.code_blocks import EXECUTED, SHOWN, Block, read_blocks
+from tools.repository import ROOT
 from tools.tables.pages import pages
 
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "examples").rglob("*.md")])

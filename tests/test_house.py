@@ -7,6 +7,7 @@ import pytest
 
 from tools import house
 from tools.house import Function, House, measure
+from tools.repository import ROOT
 from tools.sample_functions import describe, draw
 
 
@@ -145,7 +146,7 @@ def test_measures_of_a_small_tree(tmp_path: Path) -> None:
 
 def test_the_sample_depends_on_the_seed_only(repository: House, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tools.sample_functions.measure", lambda root: repository)
-    first, again, other = (draw(house.ROOT, seed, 30) for seed in (12, 12, 13))
+    first, again, other = (draw(ROOT, seed, 30) for seed in (12, 12, 13))
     assert [f.name for f in first] == [f.name for f in again]
     assert [f.name for f in first] != [f.name for f in other]
     assert len({(f.path, f.name) for f in first}) >= 29

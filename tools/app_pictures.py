@@ -17,8 +17,8 @@ from PIL import Image
 
 from tests.app.driver import STAGES, Visitor, newcomers_session, served
 from tests.browser import SCHEMES, WIDTHS, chromium
+from tools.repository import FIGURES
 
-FIGURES = Path(__file__).parents[1] / "docs" / "figures"
 _HEIGHT = 1180  # pixels of a picture of the documentation
 
 

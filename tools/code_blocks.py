@@ -24,7 +24,8 @@ from typing import Any
 
 from markdown_it import MarkdownIt
 
-ROOT = Path(__file__).parents[1]
+from tools.repository import ROOT
+
 EXECUTED = ("python", "sh")
 SHOWN = ("csv", "json", "math", "text", "toml")  # languages of blocks that are only shown
 SLOW_COMMANDS = ("hframe identify", "hframe train", "hframe evaluate", "python -m benchmarks")

@@ -26,8 +26,8 @@ from packaging.utils import canonicalize_name
 from packaging.version import Version
 
 from hframe_gym.files import write_text
+from tools.repository import ROOT
 
-ROOT = Path(__file__).resolve().parents[1]
 CONSTRAINTS, PAGE = ROOT / "constraints.txt", ROOT / "docs" / "dependencies.md"
 # The build of torch with GPU libraries, which pip installs by default on Linux, names their exact versions itself.
 _GPU_LIBRARIES = ("cuda-", "nvidia-", "triton")

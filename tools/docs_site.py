@@ -11,7 +11,6 @@ from __future__ import annotations
 import html
 import posixpath
 import re
-from pathlib import Path
 from typing import Any
 
 import typer
@@ -22,8 +21,8 @@ from mkdocs.structure.pages import Page
 
 from hframe_gym.cli import app
 from hframe_gym.help_texts import registered_choices
+from tools.repository import ROOT
 
-ROOT = Path(__file__).parents[1]
 # Pages of the site that are files of the repository's root folder.
 ROOT_PAGES = {
     "RESULTS.md": "results.md",

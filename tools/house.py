@@ -18,7 +18,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[1]
+from tools.repository import ROOT
+
 # Words of the private dialect that docs and code no longer use; see CONTRIBUTING.md.
 WORDS = ("own", "told", "stands", "asked", "badly", "whole", "share", "shown", "missed", "judged")
 MAX_WORDS_PER_1000_LINES = 5.0

@@ -18,6 +18,7 @@ import numpy as np
 from tests.reference_simulator import Array, Rig
 from tests.reference_simulator.sensors import ENCODER_STEP_RAD
 from tests.rigs.excitation import ExcitationRun, record_runs
+from tools.repository import ROOT
 
 # True parameters: each differs by 5 to 15 % from the declared (the paper's) one, and the motors differ from each other.
 TRUE_RIG = Rig(
@@ -100,7 +101,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    default = Path(__file__).resolve().parents[1] / "examples"
+    default = ROOT / "examples"
     parser.add_argument("--out", type=Path, default=default, help="folder (default: examples/)")
     folder: Path = parser.parse_args().out
     total = 0

@@ -35,8 +35,8 @@ from typing import NoReturn
 
 from hframe_gym.files import write_text
 from tools.posix import require_posix
+from tools.repository import ROOT
 
-ROOT = Path(__file__).resolve().parents[1]
 OUTPUT = ROOT / "out" / "mutation" / "report.json"
 TIMEOUT_S = 900.0  # CPU time of one test process, s; a mutant that runs longer is noticed
 _EQUATIONS = ("tests/effects/test_point_by_point.py",)

@@ -32,9 +32,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 import hframe_gym
-
-ROOT = Path(__file__).parents[1]
-FIGURES = ROOT / "docs" / "figures"
+from tools.repository import FIGURES, ROOT
 
 CONTROLLERS = {
     "pid": ("Model-based controller (pid)", (31, 95, 191)),

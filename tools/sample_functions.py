@@ -16,7 +16,8 @@ import copy
 import random
 from pathlib import Path
 
-from tools.house import ROOT, Function, measure
+from tools.house import Function, measure
+from tools.repository import ROOT
 
 
 def draw(root: Path, seed: int, count: int) -> list[Function]:

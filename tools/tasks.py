@@ -14,7 +14,8 @@ import venv
 from collections.abc import Callable
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[1]
+from tools.repository import ROOT
+
 ENVIRONMENT = ROOT / ".venv"
 PROGRAMS, SUFFIX = (ENVIRONMENT / "Scripts", ".exe") if os.name == "nt" else (ENVIRONMENT / "bin", "")
 INSTALLED = ENVIRONMENT / ".installed"

@@ -10,8 +10,9 @@ from pathlib import Path
 
 from benchmarks.faults import determinism, disks, kills, load
 from benchmarks.faults.commands import Row, Stage
-from benchmarks.results_file import RESULTS, write_results
+from benchmarks.results_file import write_results
 from tools.posix import require_posix
+from tools.repository import RESULTS
 
 Log = Callable[[str], None]
 STAGED: dict[str, Callable[[Stage, Log], list[Row]]] = {

@@ -17,11 +17,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.results_file import ROOT
 from hframe_gym.effects import EFFECTS
 from hframe_gym.files import STAGE, complete_commit, locked_folder
 from hframe_gym.machine import BUILTIN_MACHINES
 from hframe_gym.recordings import Recording, write_recording
+from tools.repository import ROOT
 
 Row = dict[str, Any]
 TIMES = {"seconds", "cpu_s"}  # keys of JSON files that hold times

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from benchmarks.faults.commands import Row, row, run
-from benchmarks.results_file import ROOT
+from tools.repository import ROOT
 
 Log = Callable[[str], None]
 RIG = ROOT / "examples" / "rig_a"

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from benchmarks.faults.commands import JOBS, Finished, Job, Row, Stage, contents, environment, row, words_of
-from benchmarks.results_file import ROOT
+from tools.repository import ROOT
 
 Log = Callable[[str], None]
 DISK_MB = 64

@@ -19,8 +19,9 @@ from benchmarks.gap import bounds, protocol, results
 from benchmarks.gap.entries import entry_names, get_entry
 from benchmarks.gap.plants import COUNT, PUBLIC_SEED, draw_plant
 from benchmarks.gap.summary import RESULTS, overview, read_all, summarize
-from benchmarks.results_file import ROOT, write_results
+from benchmarks.results_file import write_results
 from hframe_gym.errors import InputError
+from tools.repository import ROOT
 
 CACHE = ROOT / "out" / "gap"
 

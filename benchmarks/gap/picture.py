@@ -14,8 +14,9 @@ import numpy as np
 from benchmarks.gap.entries import MODELS
 from benchmarks.gap.results import interval, plant_scores
 from benchmarks.gap.summary import by_entry, of_same_seeds
-from benchmarks.results_file import FIGURES, save_figure
+from benchmarks.results_file import save_figure
 from tests.reference_simulator import Array
+from tools.repository import FIGURES
 
 COLORS = {
     "pid": "#1f77b4",

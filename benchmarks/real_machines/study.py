@@ -9,11 +9,12 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.results_file import FIGURES, ROOT, data_root
+from benchmarks.results_file import data_root
 from hframe_gym.arrays import Array
 from hframe_gym.files import atomic_file
 from hframe_gym.identification import IdentificationResult
 from hframe_gym.machine import Machine
+from tools.repository import FIGURES, ROOT
 
 MACHINES = ROOT / "benchmarks" / "machines"
 

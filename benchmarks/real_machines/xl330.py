@@ -26,11 +26,12 @@ from benchmarks.real_machines.study import (
     print_errors,
     write_recording,
 )
-from benchmarks.results_file import ROOT, write_results
+from benchmarks.results_file import write_results
 from hframe_gym.arrays import Array
 from hframe_gym.identification import identify
 from hframe_gym.machine import Machine
 from hframe_gym.recordings import Recording, load_machine, load_recordings
+from tools.repository import ROOT
 
 FULL_DUTY = 885.0
 EXAMPLE = ROOT / "examples" / "xl330"

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import argparse
 
-from benchmarks.results_file import ROOT
 from hframe_gym.files import write_text
+from tools.repository import ROOT
 from tools.tables.pages import pages
 
 

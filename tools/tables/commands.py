@@ -6,7 +6,7 @@ import json
 import statistics
 from typing import Any
 
-from benchmarks.results_file import ROOT
+from tools.repository import ROOT
 from tools.tables.identification import RANDOM_RIGS
 from tools.tables.result_tables import load_results, markdown, table, with_interval
 

@@ -20,7 +20,6 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.results_file import ROOT
 from hframe_gym.arrays import Array
 from hframe_gym.errors import InputError
 from hframe_gym.evaluation import (
@@ -39,6 +38,7 @@ from hframe_gym.evaluation import (
     run_protocol,
 )
 from hframe_gym.registry import load_plugins
+from tools.repository import ROOT
 from tools.tables.result_tables import markdown, with_interval
 
 FOLDER = ROOT / "benchmarks" / "leaderboard"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from benchmarks.results_file import ROOT
+from tools.repository import ROOT
 
 # The modules of tables register these when they are imported.
 from tools.tables import agents, commands, gap, identification, simulator  # noqa: F401

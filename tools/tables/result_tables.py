@@ -13,7 +13,7 @@ import re
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
-from benchmarks.results_file import RESULTS
+from tools.repository import RESULTS
 
 Formatter = Callable[[dict[str, Any]], str]
 
