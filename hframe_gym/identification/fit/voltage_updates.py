@@ -19,7 +19,7 @@ from ...machine import Machine
 from ...preparation.dataset import Dataset
 from ..judge.criteria import SelectionCriteria
 from ..judge.error import required_gain
-from ..judge.run import UpdatesEvidence, voltages_change_between_rows
+from ..judge.run import UpdatesEvidence, may_change_between_rows, voltages_change_between_rows
 from ..predict.prediction import SEARCH_BANDWIDTH
 from ..predict.voltage_errors import expected_excess
 from .estimation import Fit, prediction_costs
@@ -149,6 +149,8 @@ def voltage_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> 
     """
     data = data.with_updates(1)
     held = continue_fit(fitted, data, SEARCH_BANDWIDTH)
+    if not may_change_between_rows(_successive_changes(data)):
+        return VoltageUpdates(1, held.chi2, held.chi2)
     per_row, best = _least_error(held, data, required_gain(held.error, criteria) / _MOST_FURTHER_GAIN)
     if per_row > 1:
         before, after = (
@@ -163,6 +165,16 @@ def voltage_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> 
             fitted = continue_fit(best, data.with_updates(per_row), SEARCH_BANDWIDTH)
             return VoltageUpdates(per_row, held.chi2, fitted.chi2)
     return VoltageUpdates(1, held.chi2, held.chi2)
+
+
+def _successive_changes(data: Dataset) -> float:
+    """Return the fraction of the changes of the inputs from row to row that follow a change in the row before."""
+    changes, successive = 0, 0
+    for run in data.runs:
+        changed = (np.diff(run.inputs, axis=0) != 0.0).any(axis=1)
+        changes += int(changed.sum())
+        successive += int((changed[1:] & changed[:-1]).sum())
+    return successive / max(changes, 1)
 
 
 def _least_error(held: Fit, data: Dataset, promising: float) -> tuple[int, Fit]:

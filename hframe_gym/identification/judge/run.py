@@ -17,6 +17,9 @@ MIN_RUNS_COMPARED = 3
 EQUAL = 0.1
 # Fraction of this range below which two runs have the same value.
 SAME = 0.05
+# Fraction of the changes of the commands that follow a change in the row before. A controller that is faster than the
+# log changes its output in row after row while the machine moves (0.9 or more), steps and square waves do not (0).
+ROW_AFTER_ROW = 0.5
 
 
 def contradicting_run(ratios: Mapping[str, float]) -> str | None:
@@ -46,6 +49,18 @@ class UpdatesEvidence:
     held: FitError
     updated: FitError
     better: float
+
+
+def may_change_between_rows(successive: float) -> bool:
+    """Return whether the commands of a log may be those of a controller that is faster than the log.
+
+    A command that rests between its changes is not computed more often than it is logged. To interpolate its steps
+    only moves them, as a shorter delay does.
+
+    Args:
+        successive: Fraction of the changes of the commands that follow a change in the row before, dimensionless.
+    """
+    return successive > ROW_AFTER_ROW
 
 
 def voltages_change_between_rows(evidence: UpdatesEvidence, criteria: SelectionCriteria) -> bool:

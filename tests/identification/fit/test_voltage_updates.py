@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from hframe_gym import simulate
 from hframe_gym.data_validation.sampling import check_voltages_between_rows
 from hframe_gym.identification import Dataset, Fit, SelectionCriteria, default_free_parameters, fit, prepare
 from hframe_gym.identification.fit.voltage_updates import VoltageUpdates, voltage_updates
@@ -16,7 +17,7 @@ from hframe_gym.identification.validate.recording_simulation import simulate_rec
 from hframe_gym.machine import BUILTIN_MACHINES
 from hframe_gym.preparation.interpolated_voltages import at_updates, update_times, updated_inputs
 from hframe_gym.recordings import Recording
-from tests.identification.controlled_runs import controlled_run, every, random_places
+from tests.identification.controlled_runs import PERIOD, controlled_run, every, random_places
 
 AXIS = BUILTIN_MACHINES["axis"]()
 RIG = AXIS.replace({"x.mass": 1.1 * AXIS.coordinates[0].mass, "x.coulomb": 0.8 * AXIS.coordinates[0].coulomb})
@@ -81,6 +82,19 @@ def test_a_missing_force_is_no_sign_of_changes_between_rows() -> None:
     )
     assert refitted(pushed).chi2 > 2.0
     assert found(pushed).per_row == 1
+
+
+def test_steps_that_act_before_their_row_are_no_sign_of_changes_between_rows() -> None:
+    """Steps that act 3 ms before the row that has them look like interpolated ones, but rest in between."""
+    logs = []
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        volts = np.repeat(rng.uniform(-4.0, 4.0, (15, 1)), 100, axis=0)
+        volts[:100] = 0.0
+        run = simulate(RIG, PERIOD * np.arange(-1, len(volts) - 1), volts)
+        measured = run.outputs + rng.normal(0.0, NOISE, run.outputs.shape)
+        logs.append(every(Recording(f"run_{seed}", run.time_s[1:], volts[1:], measured[1:]), 4))
+    assert found(prepare(logs, AXIS)).per_row == 1
 
 
 def test_a_prediction_with_changes_between_rows_is_that_of_a_log_at_the_rate_of_the_controller() -> None:

@@ -107,6 +107,13 @@ def test_other_runs_are_held_out_if_all_contradict(
     assert judge.exchanges_held_out(differing, held_out, fitted) == exchanged
 
 
+@pytest.mark.parametrize(("successive", "possible"), [(0.0, False), (0.5, False), (0.9, True)])
+def test_only_commands_that_change_row_after_row_may_change_between_the_rows(
+    successive: float, possible: bool
+) -> None:
+    assert judge.may_change_between_rows(successive) == possible
+
+
 @pytest.mark.parametrize(
     ("held", "updated", "better", "change"),
     [
