@@ -18,7 +18,7 @@ EQUAL = 0.1
 # Fraction of this range below which two runs have the same value.
 SAME = 0.05
 # Fraction of the changes of the commands that follow a change in the row before. A controller that is faster than the
-# log changes its output in row after row while the machine moves (0.9 or more), steps and square waves do not (0).
+# log changes its output in row after row while the machine moves (0.88 to 1.0), steps and square waves do not (0).
 ROW_AFTER_ROW = 0.5
 
 
