@@ -68,9 +68,8 @@ def check_recordings(recordings: Sequence[Recording], machine: Machine) -> list[
         return wrong_times
     cleaned, rests, data, moving = _prepared(recordings, machine)
     findings = [sampling_rate(recordings), *overlapping_clocks(recordings), *_sensor_noise(data, machine)]
-    for copy, original in copied_runs(recordings).items():
-        message = f"is a copy of {original}, the same in every row: it is not used"
-        findings.append(Finding("advice", copy, "", message))
+    for copy, reason in copied_runs(recordings).items():
+        findings.append(Finding("advice", copy, "", f"{reason}: it is not used"))
     if data.jitter:
         findings.append(Finding("note", "", "time_s", f"the clock {data.describe_jitter()}"))
     findings += _faults_and_advice(recordings, cleaned, rests, data, moving, machine)

@@ -31,7 +31,6 @@ from .search.checked_search import find_effects
 from .validate.evaluation import HeldOutTest, judged
 from .validate.simpler_machines import no_worse
 
-_COPY = "Not used: {0} is a copy of {1}, the same in every row."
 _SILENT = (
     "Not used: nothing moves in {0}, although {1} starts to move with no more. Its sensor was not read, its drive was "
     "off, or something was blocked."
@@ -135,8 +134,8 @@ def _without_copies(
     recordings: Sequence[Recording], held_out: Sequence[str], log: Log
 ) -> tuple[list[Recording], tuple[str, ...]]:
     """Return the runs without copies of others, and a sentence about each; a run that the user holds out is kept."""
-    copies = copied_runs(sorted(recordings, key=lambda recording: recording.name not in held_out))
-    statements = tuple(_COPY.format(copy, original) for copy, original in copies.items())
+    copies = copied_runs(recordings, held_out)
+    statements = tuple(f"Not used: {copy} {reason}." for copy, reason in copies.items())
     for statement in statements:
         log(statement)
     return [recording for recording in recordings if recording.name not in copies], statements

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..arrays import Array
-from ..errors import InputError, suggestion
+from ..errors import InputError, name_runs, suggestion
 from ..recordings import Recording, peak_to_peak
 from .dataset import MIN_ROWS
 from .sensor_noise import difference_noise
@@ -19,6 +19,7 @@ _GROUP_SIZE = 4  # One of four runs is held out.
 _ALIKE = 0.2
 _NORMAL_SPAN = 4.65  # standard deviations of noise between its 1st and 99th percentile
 _MOVES = 0.01  # fraction of a sensor's largest span in all runs; with less, the error of a run says nothing
+_COVERED = 0.5  # fraction of a run's rows in its parts; with more, the parts are used and not the run
 _NO_NOISE = 0.5  # fraction of a span that noise does not explain
 
 
@@ -41,28 +42,50 @@ def divide_runs(recordings: Sequence[Recording], chosen: Sequence[str] = ()) -> 
     return held_out
 
 
-def copied_runs(recordings: Sequence[Recording]) -> dict[str, str]:
-    """Find runs that have the same commands and measurements as another run in every row: copies of a file.
+def copied_runs(recordings: Sequence[Recording], kept: Sequence[str] = ()) -> dict[str, str]:
+    """Find runs that have the same times, commands and measurements as another run, or as a part of it.
 
-    With a copy of a held-out run among the fitted ones, the held-out error says nothing. No machine repeats a motion to
-    the last digit, unless nothing moves.
+    With a copy of a held-out run among the fitted ones, the held-out error says nothing. A log that was imported whole
+    and again in parts is the common case; of these, the parts are used. No machine repeats a motion to the last digit,
+    unless nothing moves.
 
     Args:
         recordings: All runs, in the order in which the first one of equal runs is kept.
+        kept: Names of runs to keep where the others allow it.
 
     Returns:
-        Name of the run that a run copies, by the name of the copy.
+        Why a run is a copy, as the predicate of a sentence, by its name.
     """
     first_of: dict[bytes, str] = {}
-    copies = {}
-    for recording in recordings:
-        moves = peak_to_peak(recording.outputs).any()
-        original = first_of.setdefault(
-            recording.inputs.tobytes() + recording.outputs.tobytes(), recording.name
-        )
-        if moves and original != recording.name:
-            copies[recording.name] = original
-    return copies
+    reasons: dict[str, str] = {}
+    moving = [recording for recording in recordings if peak_to_peak(recording.outputs).any()]
+    for recording in sorted(moving, key=lambda recording: recording.name not in kept):
+        content = recording.inputs.tobytes() + recording.outputs.tobytes()
+        original = first_of.setdefault(content, recording.name)
+        if original != recording.name:
+            reasons[recording.name] = f"is a copy of {original}, the same in every row"
+    different = [recording for recording in moving if recording.name not in reasons]
+    for whole in different:
+        parts = [run for run in different if run.name not in reasons and _is_part(run, whole)]
+        if not parts:
+            continue
+        names = [run.name for run in parts]
+        covered = sum(len(run.time_s) for run in parts) / len(whole.time_s)
+        if whole.name not in kept and (covered >= _COVERED or not set(kept).isdisjoint(names)):
+            reasons[whole.name] = f"contains {name_runs(names)}, used in its place"
+        else:
+            reasons |= dict.fromkeys(names, f"is a part of {whole.name}, the same in every row")
+    return reasons
+
+
+def _is_part(run: Recording, whole: Recording) -> bool:
+    """Return whether another, longer run has all rows of a run, one after the other."""
+    first = int(np.searchsorted(whole.time_s, run.time_s[0]))
+    rows = slice(first, first + len(run.time_s))
+    return len(run.time_s) < len(whole.time_s) and all(
+        np.array_equal(getattr(run, name), getattr(whole, name)[rows], equal_nan=True)
+        for name in ("time_s", "inputs", "outputs")
+    )
 
 
 def _require_rows(recordings: Sequence[Recording]) -> None:

@@ -5,8 +5,9 @@ Each log becomes one run, or several, cut where the machine rests or into pieces
 
 from __future__ import annotations
 
+import re
 import tomllib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -14,7 +15,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from ...arrays import Array
-from ...errors import InputError
+from ...errors import InputError, name_runs
 from ...files import output_batch, read_document, read_json
 from ...machine import Machine
 from ..cleaning import GAP_PERIODS
@@ -153,6 +154,9 @@ def import_logs(
                 write_recording(file, run, machine, importer.count_rows)
                 written.append(file)
         importer.refuse_unused_intervals()
+    if others := importer.of_these_logs(existing):
+        before = f"{folder} has runs of these logs from before ({name_runs(others)})"
+        log(f"{before}: delete them unless they are other recordings")
     return written
 
 
@@ -275,6 +279,11 @@ class _Importer:
         for remark in remarks:
             self._log(f"  {remark}")
         return runs
+
+    def of_these_logs(self, runs: Iterable[str]) -> list[str]:
+        """Return the runs that are named as these logs, or as parts of them."""
+        parts = (rf"{re.escape(name)}(_\d\d+)?" for name in self._names)
+        return sorted(filter(re.compile("|".join(parts)).fullmatch, runs))
 
     def refuse_unused_intervals(self) -> None:
         """Raise an error if an interval names a log that was not imported."""

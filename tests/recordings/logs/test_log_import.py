@@ -793,6 +793,19 @@ def test_existing_runs_are_not_replaced(table: Table, hframe: Machine, tmp_path:
     assert sorted(p.name for p in (tmp_path / "runs").iterdir()) == ["log.csv.gz", "other.csv.gz"]
 
 
+def test_runs_of_an_earlier_import_of_the_same_log_are_told(
+    table: Table, hframe: Machine, tmp_path: Path
+) -> None:
+    path = in_text(text_of)(tmp_path, table)
+    convert(path, hframe)
+    (tmp_path / "runs" / "logbook.csv.gz").write_bytes((tmp_path / "runs" / "log.csv.gz").read_bytes())
+    lines: list[str] = []
+    import_logs(path, tmp_path / "runs", hframe, ImportSettings(every=0.5), log=lines.append)
+    assert lines[-1].endswith(
+        "has runs of these logs from before (log): delete them unless they are other recordings"
+    )
+
+
 @pytest.mark.parametrize(
     ("header", "per_rad", "modulus", "options", "what"),
     [
