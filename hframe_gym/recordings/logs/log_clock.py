@@ -5,6 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...arrays import Array
 from ..recording import LONGEST_GAP
@@ -26,7 +27,7 @@ _COUNTERS = {
 # other value passes by chance in so many periods of all that the counter has: one in a million for 32 bits in
 # microseconds at 1 kHz.
 _PERIODS_ACROSS = 3.0
-# Fraction of rows; fewer repeated times are single repeated rows, more are those of a coarse clock.
+# Fraction of rows; fewer repeated times are those of messages that were delayed, more are those of a coarse clock.
 _RARE = 0.1
 # A clock restarts if it goes back by more than this fraction of the time since its last start. Rows that were written
 # in a wrong order go back by a few periods.
@@ -115,6 +116,26 @@ def clock_sections(time_s: Array) -> list[slice]:
     return long if kept > (1.0 - _RARE) * len(time_s) else [slice(0, len(time_s))]
 
 
+def replaced_rows(time_s: Array) -> tuple[NDArray[np.bool_], str]:
+    """Find rows whose time the next row repeats with other values, in a log in which that is rare.
+
+    Args:
+        time_s: Times, s, NaN where there is none, shape (n,).
+
+    Returns:
+        rows: The rows that are replaced by the next one, shape (n,); none if a tenth or more of the rows are, or times go back.
+        remark: What was done, for the user; "" for nothing.
+    """
+    replaced = np.zeros(len(time_s), np.bool_)
+    rows = np.flatnonzero(np.diff(time_s) == 0.0)
+    present = time_s[np.isfinite(time_s)]
+    if not 0 < len(rows) < _RARE * len(time_s) or np.any(np.diff(present) < 0.0):
+        return replaced, ""
+    replaced[rows] = True
+    left_out = f"{len(rows)} row{'s' if len(rows) > 1 else ''} left out whose time the next row repeats"
+    return replaced, f"{left_out}; if all rows are equally spaced, state their rate: {_rate_option(present)}"
+
+
 def repair_of_times(time_s: Array) -> str:
     """Say how times that do not increase can be repaired, as the end of a message.
 
@@ -131,10 +152,15 @@ def repair_of_times(time_s: Array) -> str:
     if span <= 0.0:
         return f"; if the rows are equally spaced, state their rate, e.g. --map {TIME}=1000Hz"
     resolution = float(np.min(steps[steps > 0.0]))
-    option = f"--map {TIME}={_rate(len(time_s), span, resolution):g}Hz"
-    if np.mean(steps == 0.0) < _RARE:
-        return f"; delete one of the two rows or, if all rows are equally spaced, state their rate: {option}"
-    return f"; the clock has steps of {resolution:.3g} s: if the rows are equally spaced, state their rate: {option}"
+    clock = f"; the clock has steps of {resolution:.3g} s"
+    return f"{clock}: if the rows are equally spaced, state their rate: {_rate_option(time_s)}"
+
+
+def _rate_option(time_s: Array) -> str:
+    """Return the option that states the rate of equally spaced rows with these times, s, of which some repeat."""
+    steps = np.diff(time_s)
+    rate = _rate(len(time_s), float(time_s[-1] - time_s[0]), float(np.min(steps[steps > 0.0])))
+    return f"--map {TIME}={rate:g}Hz"
 
 
 def _rate(count: int, span: float, resolution: float) -> float:

@@ -20,7 +20,13 @@ from ..tables.text_reader import Progress
 from ..wrapping import find_wrap, known_moduli, unwrapped
 from ..wrong_units import WrongUnitError
 from .log import ROW_NUMBER, Log
-from .log_clock import clock_sections, continued_counter, continued_over_midnight, repair_of_times
+from .log_clock import (
+    clock_sections,
+    continued_counter,
+    continued_over_midnight,
+    repair_of_times,
+    replaced_rows,
+)
 from .log_files import run_of
 from .log_mapping import ChannelSource
 from .measurement_units import TIME, Conversion, channel_dimension
@@ -196,7 +202,9 @@ class LogConverter:
             count = int(np.sum(repeated))
             verb = "s left out that repeat" if count > 1 else " left out that repeats"
             remarks.append(f"{count} row{verb} the row before and its time")
-        kept = has_time & ~repeated
+        replaced, remark = (np.zeros_like(repeated), "") if repeated.any() else replaced_rows(time_s)
+        remarks += [remark] * bool(remark)
+        kept = has_time & ~repeated & ~replaced
         rows = kept if not kept.all() else slice(None)
         time_s = time_s[rows]
         try:

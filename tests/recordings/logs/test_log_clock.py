@@ -165,12 +165,18 @@ def test_rows_that_repeat_completely_are_left_out(axis: Machine, tmp_path: Path)
     assert "  52 rows left out that repeat the row before and its time" in lines
 
 
-def test_a_single_repeated_row_may_be_deleted(axis: Machine, tmp_path: Path) -> None:
-    times = [str(k if k < 50 else k - 1) for k in range(100)]
-    with pytest.raises(
-        InputError, match=r"row 51, .*repeats row 50; .*delete one of the two rows or, if all rows are"
-    ):
-        imported(tmp_path, axis, "t_ms", times)
+def test_of_two_rows_with_a_time_that_rarely_repeats_the_later_one_is_used(
+    axis: Machine, tmp_path: Path
+) -> None:
+    rows = [f"{(k if k < 50 else k - 1)};{0.01 * k:.2f};{1e-4 * k:.4f}" for k in range(201)]
+    (tmp_path / "log.csv").write_text("\n".join(["t_ms;v_V;x_m", *rows]))
+    lines: list[str] = []
+    import_logs(tmp_path / "log.csv", tmp_path / "runs", axis, log=lines.append)
+    (run,) = load_recordings(tmp_path / "runs", axis)
+    np.testing.assert_allclose(run.outputs[:, 0], 1e-4 * np.delete(np.arange(201), 49), atol=1e-12)
+    assert any(
+        "  1 row left out whose time the next row repeats; if all rows are equally" in line for line in lines
+    )
 
 
 @pytest.mark.parametrize(("step", "unit"), [(1, "ms"), (20, "ms"), (250, "us"), (100_000, "ns")])
