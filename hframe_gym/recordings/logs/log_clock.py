@@ -123,7 +123,7 @@ def replaced_rows(time_s: Array) -> tuple[NDArray[np.bool_], str]:
         time_s: Times, s, NaN where there is none, shape (n,).
 
     Returns:
-        rows: The rows that are replaced by the next one, shape (n,); none if a tenth or more of the rows are, or times go back.
+        rows: The rows that the next one replaces, shape (n,); none if these are a tenth or more, or times go back.
         remark: What was done, for the user; "" for nothing.
     """
     replaced = np.zeros(len(time_s), np.bool_)
