@@ -11,7 +11,7 @@ from ...effects.smooth_table import TABLE_FAMILY
 from ...machine import HOOKS, Effect, Machine, argument_names
 from ...preparation.dataset import Dataset
 from ..budget import Budget, BudgetEndedError, StageEnds, note_error, spend, stage_ends
-from ..evidence.significance import curves_of_one_variable
+from ..evidence.significance import curves_of_one_variable, parameter_values
 from ..evidence.tried_effects import ConsideredEffect, Log, SelectedEffect, Selection
 from ..fit.estimation import Fit, fit, prediction_cost
 from ..fit.lost_voltages import estimate_lost_voltages
@@ -27,6 +27,7 @@ from ..fit.run_observers import fit_run_by_run
 from ..fit.slow_logs import fit_slow_log
 from ..fit.start_estimation import refine_dataset
 from ..judge.criteria import SelectionCriteria
+from ..judge.effect import parameter_at_limit
 from ..judge.error import FitError, explains, is_enough, nearly_explains, required_gain
 from ..judge.run import differs_in_a_parameter, uses_all_runs
 from ..judge.table import TableEvidence, accepts_table, is_one_curve
@@ -444,6 +445,10 @@ class _Search:
         considered: tuple[ConsideredEffect, ...],
     ) -> SearchOutcome:
         """Return the outcome, with machines that are fitted again: in simulation, and run by run, if that is better."""
+        if without := self._without_limited(after, selected):
+            after, selected, removed = without
+            considered = (*considered, removed)
+            return self._decided(after, selected, considered) or self._partial(after, selected, considered)
         before_explains, explained = self._explains(self.before), self._explains(after)
         judged = next((found for found, refined in self._refinements if refined is after), after)
         before, after = (self._final(f) for f in (self.before, after))
@@ -459,6 +464,28 @@ class _Search:
             self._data_after,
             bandwidth=judged.bandwidth,
         )
+
+    def _without_limited(
+        self, after: Fit, selected: tuple[SelectedEffect, ...]
+    ) -> tuple[Fit, tuple[SelectedEffect, ...], ConsideredEffect] | None:
+        """Return the fit without an effect that the final fit moves to a limit of its range; None if there is none.
+
+        The search asks the same of its own fit, with an observer, from which the final one in simulation may differ.
+        """
+        for s in selected:
+            if s.effect.definition.family == TABLE_FAMILY:
+                continue
+            reason = parameter_at_limit(parameter_values(s.effect.label, self._refined(after)))
+            reduced = reason and without_effect(
+                after, s.effect.label, self._data_of(after), self.before.machine
+            )
+            if reduced:
+                (removed,) = self._removed(after, (s,), reason)
+                others = tuple(o.with_values(reduced.machine) for o in selected if o is not s)
+                if self._searches:
+                    reduced, others = self._searches[-1].prune(reduced, others)
+                return (reduced, others, removed) if others else (self.before, (), removed)
+        return None
 
     def _final(self, fitted: Fit) -> Fit:
         """Return a fit refined in simulation and, if it explains the data, with the observer that each run requires.

@@ -44,6 +44,7 @@ class ScriptedSearch:
         self.observers: dict[str, RunObserver] = {}  # of the runs that need another one than the others
         # Chi-squared of a fit in simulation that replaces one with an observer.
         self.simulated: float | None = None
+        self.moved: tuple[AppliedEffect, ...] = ()  # effects of that fit, if their values differ
         script = self
 
         class FakeEffectSearch:
@@ -92,7 +93,7 @@ class ScriptedSearch:
             "refined_in_simulation": lambda fitted, data: (
                 fitted
                 if script.simulated is None
-                else fit_with(*fitted.machine.effects, chi2=script.simulated)
+                else fit_with(*(script.moved or fitted.machine.effects), chi2=script.simulated)
             ),
             "fit_run_by_run": lambda fitted, data: dataclasses.replace(fitted, observers=script.observers),
             "add_tables": lambda start, known, data, criteria, max_tables, log: (
@@ -161,6 +162,19 @@ def test_held_out_runs_judge_with_the_observer_of_the_search(scripted_search: Sc
     scripted_search.simulated = 1.1
     outcome = scripted_search.run()
     assert (outcome.after.bandwidth, outcome.bandwidth) == (0.0, 30.0)
+
+
+@pytest.mark.parametrize(("speed", "removed"), [(999.0, True), (980.0, False)])
+def test_an_effect_that_the_final_fit_moves_to_a_limit_is_removed(
+    scripted_search: ScriptedSearch, speed: float, removed: bool
+) -> None:
+    brake = EFFECTS["eddy_brake"].at("x", c=1.0, v0=0.5)
+    scripted_search.effects, scripted_search.after = (selected(brake),), 1.2
+    scripted_search.simulated, scripted_search.moved = 1.1, (EFFECTS["eddy_brake"].at("x", c=1.0, v0=speed),)
+    outcome = scripted_search.run()
+    assert (outcome.selected == ()) == removed
+    assert [c.effect for c in outcome.considered] == [brake] * removed
+    assert outcome.verdict == ("unexplained" if removed else "effect_found")
 
 
 COGGING = EFFECTS["cogging"].at("motor", A=0.8, n=40.0, p=0.5)
