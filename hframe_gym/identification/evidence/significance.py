@@ -259,8 +259,9 @@ def parameter_values(label: str, fitted: Fit) -> tuple[ParameterValue, ...]:
         limited = free.get(f"{label}.{p.name}") if covered_by_runs(p) else None
         covered = (limited.lower, limited.upper) if limited is not None else None
         limits = tuple({p.lower, p.upper} - {0.0, *p.grid})
+        unit = fitted.machine.effect_unit(effect, p.name)
         values.append(
-            ParameterValue(p.name, p.unit, effect.parameters[p.name], limits, covered, p.role == "rate")
+            ParameterValue(p.name, unit, effect.parameters[p.name], limits, covered, p.role == "rate")
         )
     return tuple(values)
 
