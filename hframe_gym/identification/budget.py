@@ -25,6 +25,12 @@ from ..machine import Machine
 DEFAULT_SECONDS = 120.0  # of processor time, whatever the number of cores; an engineer waits a minute or two
 SECOND_SEARCH_PART = 0.6  # part of the budget after which no search with other held-out runs begins
 COMPARISON_PART = 0.85  # part after which no comparison of the runs with each other begins
+LAST_STAGE_END = (
+    0.9  # part after which no stage goes on; simulations of held-out runs and report take some seconds
+)
+# Part of the budget for each stage after the search. In complete identifications, tests and final fits took 5 to 20 %;
+# a description takes 10 s for its first effect.
+_STAGE_PART = 0.15
 
 # What the search does, processor time since the identification began, and the whole budget, s.
 Progress = Callable[[str, float, float], None]
@@ -33,40 +39,28 @@ Progress = Callable[[str, float, float], None]
 class StageEnds(NamedTuple):
     """Parts of the budget after which the stages of an identification end, dimensionless.
 
-    The tests of what was found and the final fits took 5 to 20 % of the time of complete identifications. What follows
-    the last stage, simulations of the held-out runs and the report, takes a few seconds.
-
     Attributes:
         search: Search for effects.
         tests: Tests of what a search that ended early has found; what they do not reach is not named.
         all_rows: Fit to all rows, after a search in a part of them.
-        description: Description of the remaining error.
     """
 
     search: float
     tests: float
     all_rows: float
-    description: float
-
-
-_WITH_BELTS = StageEnds(search=0.7, tests=0.9, all_rows=0.9, description=0.9)
-_WITH_BELTS_IN_PART = StageEnds(search=0.6, tests=0.7, all_rows=0.85, description=0.85)
-# Where a search ends early, it rarely names the cause. The description, which then reduces the error most, takes 10 s
-# for the first effect.
-_WITHOUT_BELTS = StageEnds(search=0.6, tests=0.74, all_rows=0.74, description=0.9)
-_WITHOUT_BELTS_IN_PART = StageEnds(search=0.45, tests=0.55, all_rows=0.7, description=0.9)
 
 
 def stage_ends(machine: Machine, *, in_part: bool = False) -> StageEnds:
-    """Return when the stages of an identification end: earlier without belts, where a description may follow.
+    """Return when the stages of an identification end, so that each stage that may follow still has its part.
 
     Args:
-        machine: Machine that is identified.
+        machine: Machine that is identified. Without belts, a description may follow: there a search that ends early
+            rarely names the cause, and the description reduces the error most.
         in_part: Whether effects are searched for in a part of the rows, which a fit to all of them follows.
     """
-    if machine.belts:
-        return _WITH_BELTS_IN_PART if in_part else _WITH_BELTS
-    return _WITHOUT_BELTS_IN_PART if in_part else _WITHOUT_BELTS
+    all_rows = LAST_STAGE_END - (0.0 if machine.belts else _STAGE_PART)
+    tests = all_rows - (_STAGE_PART if in_part else 0.0)
+    return StageEnds(tests - _STAGE_PART, tests, all_rows)
 
 
 class BudgetEndedError(Exception):

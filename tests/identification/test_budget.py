@@ -12,6 +12,7 @@ from hframe_gym.identification import default_free_parameters, fit, identify
 from hframe_gym.identification.budget import (
     COMPARISON_PART,
     DEFAULT_SECONDS,
+    LAST_STAGE_END,
     Budget,
     BudgetEndedError,
     spend,
@@ -107,7 +108,7 @@ def test_the_page_states_when_each_stage_ends() -> None:
         "search": [p.search for p in cases],
         "tests of what a search that ended early found": [p.tests for p in cases],
         "fit of what was found to all rows": [p.all_rows if k % 2 else None for k, p in enumerate(cases)],
-        "description of the remaining error": [p.description if k > 1 else None for k, p in enumerate(cases)],
+        "description of the remaining error": [None, None, LAST_STAGE_END, LAST_STAGE_END],
     }
     for stage, parts in rows.items():
         columns = ("" if part is None else f" {100 * part:.0f} %" for part in parts)

@@ -15,7 +15,7 @@ import numpy as np
 
 from ...preparation.dataset import Dataset
 from ...preparation.excerpt import representative_part
-from ..budget import Budget, BudgetEndedError, stage_ends
+from ..budget import LAST_STAGE_END, Budget, BudgetEndedError
 from ..evidence.tried_effects import Log, SelectedEffect
 from ..fit.estimation import Fit, prediction_cost
 from ..fit.plain_fit import PlainFit, equally_weighted, refined_equally
@@ -238,10 +238,9 @@ def descriptions(
         Fit with one more effect in simulation, and the labels of all; nothing if no effect passes the tests, or after
         the budget.
     """
-    end = stage_ends(start.machine).description
-    if not budget.has_time(end):
+    if not budget.has_time(LAST_STAGE_END):
         return
-    stage = budget.until(end, min(_BUDGET_PART * budget.seconds, _LONGEST))
+    stage = budget.until(LAST_STAGE_END, min(_BUDGET_PART * budget.seconds, _LONGEST))
     log("describing the remaining error of complete runs")
     equal = equally_weighted(data)
     cost = prediction_cost(start.machine, equal, SIMULATION)
