@@ -385,9 +385,6 @@ def _check_curves(saved: SavedResult, path: Path) -> None:
         needed |= {"force/variable": 1, "force/before": 1, "force/after": 1}
         if not saved.report["residual"]["depends_on"]:
             raise _damaged(path, "has a residual force, for which report.json has no variable")
-        shape = (len(curves.get(f"{run}/time_s", ())), len(saved.machine.input_channels))
-        if f"{run}/inputs" in curves and curves[f"{run}/inputs"].shape != shape:
-            raise _damaged(path, f"array {run}/inputs has the shape {curves[f'{run}/inputs'].shape}")
     needed |= {name: 1 for name in curves if name.startswith("coverage/")}
     for name, dimensions in needed.items():
         if name not in curves:
@@ -403,6 +400,11 @@ def _check_curves(saved: SavedResult, path: Path) -> None:
         coordinate = name.partition(" of ")[2]
         if name.startswith("coverage/") and coordinate and coordinate not in saved.machine.coordinate_names:
             raise _damaged(path, f"array {name}: machine.json has no coordinate {coordinate}")
+    for run in saved.report["runs"]["held_out"]:
+        inputs = curves.get(f"{run}/inputs")  # results of older versions have none
+        shape = (len(curves[f"{run}/time_s"]), len(saved.machine.input_channels))
+        if inputs is not None and inputs.shape != shape:
+            raise _damaged(path, f"array {run}/inputs has the shape {inputs.shape}")
 
 
 def _has_workspace(machine: Machine) -> bool:

@@ -190,6 +190,12 @@ DAMAGES: dict[str, tuple[Damage, str]] = {
         "evidence.npz: array run_2/after has the shape",
     ),
     "empty run": (with_curves(run_2__time_s=np.zeros(0)), "evidence.npz: array run_2/time_s has the shape"),
+    "inputs of another length": (
+        with_curves(
+            run_2__inputs=np.zeros((7, 1)), force__variable=None, force__before=None, force__after=None
+        ),
+        "evidence.npz: array run_2/inputs has the shape (7, 1)",
+    ),
     "forces differ": (
         with_curves(force__after=np.zeros(7)),
         "evidence.npz: array force/after has another length",
