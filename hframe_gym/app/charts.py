@@ -58,88 +58,91 @@ def curves_chart(
     Returns:
         Options of ECharts.
     """
-    muted, line = ink("muted", dark), ink("line", dark)
     first = min(float(c.time[0]) for c in curves) if window is None else window[0]
     last = max(float(c.time[-1]) for c in curves) if window is None else window[1]
-    marks = [[{"xAxis": i.begin}, {"xAxis": i.end}] for i in intervals]
-    count, options = len(curves), _frame(dark)
+    options = _frame(dark)
     for k, curve in enumerate(curves):
         top = _TOP + k * (_PLOT + _GAP)
-        is_last = k == count - 1
-        options["title"].append(
-            {
-                "text": f"{{name|{curve.name}}}  {{note|{curve.note}}}",
-                "left": _LEFT - 2,
-                "top": top - 24,
-                "padding": 2,
-                "textStyle": {
-                    "rich": {
-                        "name": {
-                            "fontSize": 13,
-                            "fontWeight": 600,
-                            "color": ink("ink" if curve.used else "muted", dark),
-                        },
-                        "note": {"fontSize": 12, "fontWeight": "normal", "color": muted},
-                    }
-                },
-            }
-        )
+        name = x_name if k == len(curves) - 1 else None
+        options["title"].append(_title(curve, top, dark))
         options["grid"].append({"left": _LEFT, "right": _RIGHT, "top": top, "height": _PLOT})
-        options["xAxis"].append(
-            {
-                "gridIndex": k,
-                "type": "value",
-                "min": first,
-                "max": last,
-                "name": x_name if is_last else "",
-                "nameLocation": "middle",
-                "nameGap": 22,
-                "nameTextStyle": {"color": muted},
-                "axisLabel": {
-                    "show": is_last,
-                    "color": muted,
-                    "hideOverlap": True,
-                    "showMinLabel": False,
-                    "showMaxLabel": False,
-                },
-                "axisTick": {"show": is_last},
-                "axisLine": {"lineStyle": {"color": line}, "onZero": False},
-                "splitLine": {"show": False},
-            }
-        )
-        options["yAxis"].append(
-            {
-                "gridIndex": k,
-                "type": "value",
-                "scale": True,
-                "splitNumber": 2,
-                "axisLabel": {"color": muted, "fontSize": 11, "hideOverlap": True},
-                "splitLine": {"lineStyle": {"color": line}},
-            }
-        )
-        lines = {"": curve.values, **curve.others}
-        for number, (name, values) in enumerate(lines.items()):
-            role = SERIES[number] if curve.used else "declared"
-            series: dict[str, Any] = {
-                "type": "line",
-                "name": f"{curve.name} {name}".strip(),
-                "xAxisIndex": k,
-                "yAxisIndex": k,
-                "data": thinned(curve.time, values, first, last),
-                "showSymbol": False,
-                "step": "end" if curve.held else False,
-                "lineStyle": {"width": 1.2},
-                "color": ink(role, dark),
-                "z": 3 - number,
-            }
-            if number == 0:
-                series["markArea"] = {
-                    "silent": True,
-                    "data": marks,
-                    "itemStyle": {"color": ink("good", dark), "opacity": 0.16},
-                }
-            options["series"].append(series)
+        options["xAxis"].append({"gridIndex": k, "min": first, "max": last, **_time_axis(name, dark)})
+        options["yAxis"].append({"gridIndex": k, **_value_axis(dark)})
+        lines = _lines(curve, first, last, dark)
+        lines[0]["markArea"] = {
+            "silent": True,
+            "data": [[{"xAxis": i.begin}, {"xAxis": i.end}] for i in intervals],
+            "itemStyle": {"color": ink("good", dark), "opacity": 0.16},
+        }
+        options["series"] += [{"xAxisIndex": k, "yAxisIndex": k, **line} for line in lines]
     return options
+
+
+def _title(curve: Curve, top: int, dark: bool) -> dict[str, Any]:
+    """Return the title above a curve whose plot begins `top` pixels below the upper edge."""
+    color = ink("ink" if curve.used else "muted", dark)
+    return {
+        "text": f"{{name|{curve.name}}}  {{note|{curve.note}}}",
+        "left": _LEFT - 2,
+        "top": top - 24,
+        "padding": 2,
+        "textStyle": {
+            "rich": {
+                "name": {"fontSize": 13, "fontWeight": 600, "color": color},
+                "note": {"fontSize": 12, "fontWeight": "normal", "color": ink("muted", dark)},
+            }
+        },
+    }
+
+
+def _time_axis(name: str | None, dark: bool) -> dict[str, Any]:
+    """Return the axis of times of one plot; without name and numbers if `name` is None."""
+    muted = ink("muted", dark)
+    return {
+        "type": "value",
+        "name": name or "",
+        "nameLocation": "middle",
+        "nameGap": 22,
+        "nameTextStyle": {"color": muted},
+        "axisLabel": {
+            "show": name is not None,
+            "color": muted,
+            "hideOverlap": True,
+            "showMinLabel": False,
+            "showMaxLabel": False,
+        },
+        "axisTick": {"show": name is not None},
+        "axisLine": {"lineStyle": {"color": ink("line", dark)}, "onZero": False},
+        "splitLine": {"show": False},
+    }
+
+
+def _value_axis(dark: bool) -> dict[str, Any]:
+    """Return the axis of values of one plot."""
+    return {
+        "type": "value",
+        "scale": True,
+        "splitNumber": 2,
+        "axisLabel": {"color": ink("muted", dark), "fontSize": 11, "hideOverlap": True},
+        "splitLine": {"lineStyle": {"color": ink("line", dark)}},
+    }
+
+
+def _lines(curve: Curve, first: float, last: float, dark: bool) -> list[dict[str, Any]]:
+    """Return the line of a curve, and below it those that are compared with it, from one time to another, s."""
+    return [
+        {
+            "type": "line",
+            "name": f"{curve.name} {name}".strip(),
+            "data": thinned(curve.time, values, first, last),
+            "showSymbol": False,
+            "step": "end" if curve.held else False,
+            "lineStyle": {"width": 1.2},
+            "color": ink(SERIES[number] if curve.used else "declared", dark),
+            "z": 3 - number,
+        }
+        for number, (name, values) in enumerate({"": curve.values, **curve.others}.items())
+    ]
 
 
 def _frame(dark: bool) -> dict[str, Any]:

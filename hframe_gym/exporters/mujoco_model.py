@@ -8,6 +8,8 @@ voltages.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import NamedTuple
 from xml.sax.saxutils import quoteattr
 
@@ -71,63 +73,11 @@ def model_xml(
     """
     refuse_drive_laws(machine, "a model of bodies")
     axes = tool_coordinates(machine)
-    pulleys = [c for c in machine.coordinates if c.kind == "rotary"]
-    names = {c.name: quoteattr(c.name) for c in machine.coordinates}
-
-    def joint(c: Coordinate, kind: str, axis: str, armature: float = 0.0) -> str:
-        damping = c.viscous + sum(d.back_emf for d in machine.drives if d.coordinate == c.name)
-        soft = FRICTION[settings.friction].format(twice=2 * step) if c.coulomb else ""
-        losses = f'damping="{damping!r}" frictionloss="{c.coulomb!r}" {soft}'
-        added = f' armature="{armature!r}"' if armature else ""
-        limits = f' range="{c.range[0]!r} {c.range[1]!r}"' if drawn and c.range and kind == "slide" else ""
-        return f'<joint name={names[c.name]} type="{kind}" axis="{axis}" {losses}{added}{limits}/>'
-
-    def inertia(mass: float, moment: float) -> str:
-        return f'<inertial pos="0 0 0" mass="{mass!r}" diaginertia="{moment!r} {moment!r} {moment!r}"/>'
-
-    directions = {c.name: direction for c, direction in zip(axes, ("1 0 0", "0 1 0"), strict=False)}
-    carrier, riders, carried = carrier_and_riders(axes)
     shapes = _shapes(machine, axes) if drawn else {}
-    inner = ""
-    if riders:  # the carriage moves with the bridge, so that mass(bridge) is that of both
-        rider = riders[0]
-        slide = joint(rider, "slide", directions[rider.name], rider.mass - carried)
-        inner = (
-            f"<body{_named(rider, drawn)}>{inertia(carried, 1.0)}{slide}{shapes.get(rider.name, '')}</body>"
-        )
-    slides = (
-        f"<body{_named(carrier, drawn)}>{inertia(carrier.mass - carried, 1.0)}"
-        f"{joint(carrier, 'slide', directions[carrier.name])}{shapes.get(carrier.name, '')}{inner}</body>"
-    )
-    turning = "".join(
-        f"<body{_named(c, drawn)}{_place(i, drawn)}>{inertia(_PULLEY_MASS, c.mass)}{joint(c, 'hinge', '0 0 1')}"
-        f"{shapes.get(c.name, '')}</body>"
-        for i, c in enumerate(pulleys)
-    )
-    # MuJoCo orders joints by bodies; the tool axes come in the order of the nested bodies.
-    tendons = ""
-    stiffness = belt_stiffness(machine, position)
-    for b, k in zip(machine.belts, stiffness, strict=True):
-        row = machine.coefficients(b.extension) * machine.travel_per_unit
-        ends = "".join(
-            f'<joint joint={names[n]} coef="{c!r}"/>'
-            for n, c in zip(machine.coordinate_names, row.tolist(), strict=True)
-            if c
-        )
-        tendons += f'<fixed name={quoteattr(b.name)} stiffness="{k!r}" springlength="0">{ends}</fixed>'
-    drives = ""
-    for d in machine.drives:
-        limits = (
-            f' name={quoteattr(d.channel)} ctrlrange="{-d.rated_voltage!r} {d.rated_voltage!r}"'
-            if drawn
-            else ""
-        )
-        drives += f'<motor{limits} joint={names[d.coordinate]} gear="{d.gain!r}"/>'
-    sensors = "".join(
-        f"<jointpos name={quoteattr(s.channel)} joint={names[s.coordinate]}/>"
-        for s in machine.sensors
-        if drawn and s.of_position and dict(s.row) == {s.coordinate: 1.0}
-    )
+    joint = partial(_joint, machine, soft=FRICTION[settings.friction].format(twice=2 * step), drawn=drawn)
+    bodies = _tool_bodies(axes, shapes, joint, drawn=drawn)
+    bodies += _pulley_bodies(machine, shapes, joint, drawn=drawn)
+    sensors = _sensors(machine) if drawn else ""
     off = 'contact="disable" gravity="disable" limit="disable"' + ("" if drawn else ' sensor="disable"')
     option = (
         f'timestep="{step!r}" integrator="{settings.integrator}" solver="{settings.solver}" gravity="0 0 0"'
@@ -135,10 +85,89 @@ def model_xml(
     return f"""<mujoco{f" model={quoteattr(machine.name)}" if drawn else ""}>
   <option {option}/>
   <option><flag {off}/></option>
-  <worldbody>{slides}{turning}</worldbody>
-  <tendon>{tendons}</tendon>
-  <actuator>{drives}</actuator>{f"{chr(10)}  <sensor>{sensors}</sensor>" if sensors else ""}
+  <worldbody>{bodies}</worldbody>
+  <tendon>{_tendons(machine, position)}</tendon>
+  <actuator>{_motors(machine, drawn=drawn)}</actuator>{f"{chr(10)}  <sensor>{sensors}</sensor>" if sensors else ""}
 </mujoco>"""
+
+
+def _joint(
+    machine: Machine, c: Coordinate, kind: str, axis: str, armature: float = 0.0, *, soft: str, drawn: bool
+) -> str:
+    """Return the joint of a coordinate; `soft` are the attributes that make dry friction stiff."""
+    damping = c.viscous + sum(d.back_emf for d in machine.drives if d.coordinate == c.name)
+    losses = f'damping="{damping!r}" frictionloss="{c.coulomb!r}" {soft if c.coulomb else ""}'
+    added = f' armature="{armature!r}"' if armature else ""
+    limits = f' range="{c.range[0]!r} {c.range[1]!r}"' if drawn and c.range and kind == "slide" else ""
+    return f'<joint name={quoteattr(c.name)} type="{kind}" axis="{axis}" {losses}{added}{limits}/>'
+
+
+def _inertia(mass: float, moment: float) -> str:
+    """Return the inertia of a body, kg and kg m^2."""
+    return f'<inertial pos="0 0 0" mass="{mass!r}" diaginertia="{moment!r} {moment!r} {moment!r}"/>'
+
+
+def _tool_bodies(
+    axes: list[Coordinate], shapes: Mapping[str, str], joint: Callable[..., str], *, drawn: bool
+) -> str:
+    """Return the body of the axis that carries the other, which is nested in it, as MuJoCo orders joints by bodies."""
+    directions = {c.name: direction for c, direction in zip(axes, ("1 0 0", "0 1 0"), strict=False)}
+    carrier, riders, carried = carrier_and_riders(axes)
+    inner = ""
+    if riders:  # the carriage moves with the bridge, so that mass(bridge) is that of both
+        rider = riders[0]
+        slide = joint(rider, "slide", directions[rider.name], rider.mass - carried)
+        inner = (
+            f"<body{_named(rider, drawn)}>{_inertia(carried, 1.0)}{slide}{shapes.get(rider.name, '')}</body>"
+        )
+    return (
+        f"<body{_named(carrier, drawn)}>{_inertia(carrier.mass - carried, 1.0)}"
+        f"{joint(carrier, 'slide', directions[carrier.name])}{shapes.get(carrier.name, '')}{inner}</body>"
+    )
+
+
+def _pulley_bodies(
+    machine: Machine, shapes: Mapping[str, str], joint: Callable[..., str], *, drawn: bool
+) -> str:
+    """Return a body for each pulley, which turns and does not travel."""
+    return "".join(
+        f"<body{_named(c, drawn)}{_place(i, drawn)}>{_inertia(_PULLEY_MASS, c.mass)}{joint(c, 'hinge', '0 0 1')}"
+        f"{shapes.get(c.name, '')}</body>"
+        for i, c in enumerate(c for c in machine.coordinates if c.kind == "rotary")
+    )
+
+
+def _tendons(machine: Machine, position: Array | None) -> str:
+    """Return a tendon for each belt."""
+    tendons = ""
+    for b, k in zip(machine.belts, belt_stiffness(machine, position), strict=True):
+        row = machine.coefficients(b.extension) * machine.travel_per_unit
+        ends = "".join(
+            f'<joint joint={quoteattr(n)} coef="{c!r}"/>'
+            for n, c in zip(machine.coordinate_names, row.tolist(), strict=True)
+            if c
+        )
+        tendons += f'<fixed name={quoteattr(b.name)} stiffness="{k!r}" springlength="0">{ends}</fixed>'
+    return tendons
+
+
+def _motors(machine: Machine, *, drawn: bool) -> str:
+    """Return a motor for each drive, whose control is the voltage."""
+    motors = ""
+    for d in machine.drives:
+        rated = d.rated_voltage
+        limits = f' name={quoteattr(d.channel)} ctrlrange="{-rated!r} {rated!r}"' if drawn else ""
+        motors += f'<motor{limits} joint={quoteattr(d.coordinate)} gear="{d.gain!r}"/>'
+    return motors
+
+
+def _sensors(machine: Machine) -> str:
+    """Return the sensors that measure the position of one coordinate."""
+    return "".join(
+        f"<jointpos name={quoteattr(s.channel)} joint={quoteattr(s.coordinate)}/>"
+        for s in machine.sensors
+        if s.of_position and dict(s.row) == {s.coordinate: 1.0}
+    )
 
 
 def tool_coordinates(machine: Machine) -> list[Coordinate]:

@@ -125,36 +125,55 @@ def _axis(
 ) -> tuple[Array, str] | None:
     """Return the values of a variable at which an effect is drawn, and the name of the variable with its unit."""
     if symbol == "V":
-        drives = [drive for drive in machine.drives if effect.site in (drive.name, "drives")]
-        values = [curves[f"coverage/{d.channel}"] for d in drives if f"coverage/{d.channel}" in curves]
-        top = max((float(np.abs(v).max()) for v in values), default=0.0)
-        return (
-            _symmetric(top, f"command of {effect.site}, {machine.command_unit(drives[0])}")
-            if drives
-            else None
-        )
+        return _command_axis(effect, machine, curves)
     if coordinate is None:
         return None
     if symbol == "t":
-        ends = [values[-1] for name, values in curves.items() if name.endswith("/time_s") and len(values)]
-        return (np.linspace(0.0, max(ends), _POINTS), "time, s") if ends and max(ends) > 0.0 else None
-    unit = coordinate.unit("position" if symbol == "q" else "speed")
-    if symbol == "v":
-        seen = curves.get(f"coverage/velocity of {coordinate.name}")
-        top = math.inf if seen is None else float(np.abs(seen).max())
-        speeds = [abs(effect.parameters[p.name]) for p in effect.definition.parameters if p.unit == "speed"]
-        top = min(top, _SPEEDS * max(speeds)) if speeds else top
-        return _symmetric(top, f"velocity of {coordinate.name}, {unit}")
-    if symbol == "q":
-        label = f"position of {coordinate.name}, {unit}"
-        seen = curves.get(f"coverage/position of {coordinate.name}")
-        low, high = (float(seen.min()), float(seen.max())) if seen is not None else (0.0, 2.0 * math.pi)
-        if seen is None and coordinate.kind != "rotary":
-            return None
-        if period := _period(effect):
-            high = min(high, low + _MAX_PERIODS * period)
-        return (np.linspace(low, high, _POINTS), label) if high > low else None
-    return None
+        return _time_axis(curves)
+    return (_velocity_axis if symbol == "v" else _position_axis)(effect, coordinate, curves)
+
+
+def _command_axis(
+    effect: AppliedEffect, machine: Machine, curves: Mapping[str, Array]
+) -> tuple[Array, str] | None:
+    """Return commands up to the largest one of the fitted runs."""
+    drives = [drive for drive in machine.drives if effect.site in (drive.name, "drives")]
+    if not drives:
+        return None
+    channels = [f"coverage/{drive.channel}" for drive in drives]
+    top = max((float(np.abs(curves[name]).max()) for name in channels if name in curves), default=0.0)
+    return _symmetric(top, f"command of {effect.site}, {machine.command_unit(drives[0])}")
+
+
+def _time_axis(curves: Mapping[str, Array]) -> tuple[Array, str] | None:
+    """Return times up to the end of the longest run."""
+    ends = [values[-1] for name, values in curves.items() if name.endswith("/time_s") and len(values)]
+    return (np.linspace(0.0, max(ends), _POINTS), "time, s") if ends and max(ends) > 0.0 else None
+
+
+def _velocity_axis(
+    effect: AppliedEffect, coordinate: Coordinate, curves: Mapping[str, Array]
+) -> tuple[Array, str] | None:
+    """Return velocities up to that of the fitted runs, or to where a speed that a parameter states is small."""
+    seen = curves.get(f"coverage/velocity of {coordinate.name}")
+    top = math.inf if seen is None else float(np.abs(seen).max())
+    speeds = [abs(effect.parameters[p.name]) for p in effect.definition.parameters if p.unit == "speed"]
+    top = min(top, _SPEEDS * max(speeds)) if speeds else top
+    return _symmetric(top, f"velocity of {coordinate.name}, {coordinate.unit('speed')}")
+
+
+def _position_axis(
+    effect: AppliedEffect, coordinate: Coordinate, curves: Mapping[str, Array]
+) -> tuple[Array, str] | None:
+    """Return the positions of the fitted runs, one turn where these are not known, or some periods of the effect."""
+    seen = curves.get(f"coverage/position of {coordinate.name}")
+    if seen is None and coordinate.kind != "rotary":
+        return None
+    low, high = (0.0, 2.0 * math.pi) if seen is None else (float(seen.min()), float(seen.max()))
+    if period := _period(effect):
+        high = min(high, low + _MAX_PERIODS * period)
+    label = f"position of {coordinate.name}, {coordinate.unit('position')}"
+    return (np.linspace(low, high, _POINTS), label) if high > low else None
 
 
 def _period(effect: AppliedEffect) -> float | None:

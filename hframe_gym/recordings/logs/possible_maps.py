@@ -57,16 +57,31 @@ def _is_possible(machine: Machine, channel: str, column: Meaning, unit: str | No
         return not other_motion or scaled or unit is not None
     if channel == TIME:
         return family in _COUNTS and (scaled or unit is not None)
-    if family == "count" or (family == "row number" and scaled and channel in machine.output_channels):
-        return True  # counts of an encoder, which are also called ticks
+    if family == "count":
+        return True
     if channel in machine.supply_channels:
         return scaled or unit in _VOLTS
     if channel in machine.output_channels:
-        if family == "speed":
-            if unit is None:
-                return column.evidence == "unit"
-            return unit in _speed_units() or unit not in accepted_units(machine, channel)
-        return scaled and (column.unit in _ANALOG_UNITS or (family == "voltage" and not column.unit))
+        return _can_be_measurement(machine, channel, column, unit, scaled)
+    return _can_be_command(machine, channel, column, unit, scaled)
+
+
+def _can_be_measurement(
+    machine: Machine, channel: str, column: Meaning, unit: str | None, scaled: bool
+) -> bool:
+    """Return whether a column of another quantity can be what a sensor measures."""
+    if column.family == "row number":  # counts of an encoder, which are also called ticks
+        return scaled
+    if column.family == "speed":
+        if unit is None:
+            return column.evidence == "unit"
+        return unit in _speed_units() or unit not in accepted_units(machine, channel)
+    return scaled and (column.unit in _ANALOG_UNITS or (column.family == "voltage" and not column.unit))
+
+
+def _can_be_command(machine: Machine, channel: str, column: Meaning, unit: str | None, scaled: bool) -> bool:
+    """Return whether a column of another quantity can be the command of a drive."""
+    dimension, family = channel_dimension(machine, channel), column.family
     if family == "duty cycle":
         return column.unit != "" or unit is not None or scaled
     if column.evidence == "unit":
@@ -78,11 +93,10 @@ def _is_possible(machine: Machine, channel: str, column: Meaning, unit: str | No
         return family in _COMMANDED
     if unit in ("%", "pu"):
         return family in _FRACTION_OF_VOLTAGE
-    if scaled and unit is None:
-        return family in _WRITTEN_TO_PWM or (
-            family in _AMPLIFIER_COMMANDS and _has_no_back_emf(machine, channel)
-        )
-    return unit is not None and unit in accepted_units(machine, channel) and family in _COMMANDED
+    if unit is not None:
+        return unit in accepted_units(machine, channel) and family in _COMMANDED
+    is_current = family in _AMPLIFIER_COMMANDS and _has_no_back_emf(machine, channel)
+    return scaled and (family in _WRITTEN_TO_PWM or is_current)
 
 
 def _has_no_back_emf(machine: Machine, channel: str) -> bool:

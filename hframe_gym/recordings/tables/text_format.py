@@ -111,15 +111,7 @@ def detect_format(path: Path) -> TextFormat:
             separators and decimal marks.
     """
     encoding, deviations = _detect_encoding(path)
-    with open_text(path, encoding) as (file, _):
-        sample = file.read(_SAMPLE)
-    if not sample.strip():
-        raise InputError(f"{path}: empty")
-    lines = sample.split("\n")
-    if len(lines) == 1:
-        refuse_long_line(path, len(sample))
-    if len(sample) == _SAMPLE:
-        lines.pop()  # it may be incomplete
+    lines = _first_lines(path, encoding)
     declared = lines[0].strip()[4:] if lines[0].lower().startswith("sep=") else ""
     edits, labels, remarks = _edits(lines)
     deviations += remarks
@@ -131,12 +123,9 @@ def detect_format(path: Path) -> TextFormat:
         cells[0] = []
     first, width = _first_row(cells)
     rows = [row for row in cells[first:] if any(row)]
-    names_above = max((len(row) for row in cells[:first]), default=0)
-    if separator == "," and names_above > 1 and names_above + 1 < width <= 2 * names_above:
-        problem = f"the rows have {width} cells under {names_above} names"
-        advice = "if commas are also decimal marks, export it with semicolons between the columns"
-        raise InputError(f"{path}: {problem}; {advice}")
-    without_last = all(not any(row[width - 1 :]) for row in rows)  # the rows end with a separator
+    if separator == ",":
+        _refuse_decimal_commas(path, cells[:first], width)
+    without_last = _are_empty_from(width - 1, rows)  # the rows end with a separator
     widths = (width, width - 1) if without_last else (width,)
     header, units, layout = _detect_header(lines, cells, first, widths, separator)
     if _NO_HEADER in layout and not without_last and width > 2:
@@ -146,14 +135,10 @@ def detect_format(path: Path) -> TextFormat:
     if labels:
         header, units = [label or f"#{k}" for k, label in enumerate(labels, start=1)], [""] * len(labels)
         layout = [remark for remark in layout if remark != _NO_HEADER]
-    while (
-        len(header) > 1
-        and _NOT_A_COLUMN.fullmatch(header[-1])
-        and not any(any(row[len(header) - 1 :]) for row in rows)
-    ):
+    while len(header) > 1 and _NOT_A_COLUMN.fullmatch(header[-1]) and _are_empty_from(len(header) - 1, rows):
         header.pop()
         units.pop()
-    if rows and all(len(row) > len(header) and not any(row[len(header) :]) for row in rows):
+    if rows and min(map(len, rows)) > len(header) and _are_empty_from(len(header), rows):
         layout.append("rows end with a separator")
     deviations += layout
     if separator != ",":
@@ -172,6 +157,33 @@ def detect_format(path: Path) -> TextFormat:
         tuple(deviations),
         tuple(edits),
     )
+
+
+def _first_lines(path: Path, encoding: str) -> list[str]:
+    """Return the complete lines at the beginning of a file; an empty file and a long first line are refused."""
+    with open_text(path, encoding) as (file, _):
+        sample = file.read(_SAMPLE)
+    if not sample.strip():
+        raise InputError(f"{path}: empty")
+    lines = sample.split("\n")
+    if len(lines) == 1:
+        refuse_long_line(path, len(sample))
+    return lines[:-1] if len(sample) == _SAMPLE else lines  # the last one may be incomplete
+
+
+def _refuse_decimal_commas(path: Path, above: Sequence[Sequence[str]], width: int) -> None:
+    """Refuse rows of so many more cells than names that commas must be both separators and decimal marks."""
+    names = max(map(len, above), default=0)
+    if names > 1 and names + 1 < width <= 2 * names:
+        raise InputError(
+            f"{path}: the rows have {width} cells under {names} names; if commas are also decimal marks, export it "
+            "with semicolons between the columns"
+        )
+
+
+def _are_empty_from(index: int, rows: Sequence[Sequence[str]]) -> bool:
+    """Return whether no row has a filled cell from a column on."""
+    return not any(any(row[index:]) for row in rows)
 
 
 @contextmanager
@@ -288,31 +300,20 @@ def _edits(lines: Sequence[str]) -> tuple[list[tuple[re.Pattern[str], str]], lis
     """
     rows = [line.rstrip(" ") for line in lines if not _is_comment(line) and any(map(str.isdigit, line))]
     starting = [row for row in rows if _ROW_START.match(row)]
+    without_arrow = [_ARROW.sub("", row) for row in rows]
     edits: list[tuple[re.Pattern[str], str]] = []
-    labels: list[str] = []
     remarks = []
-    if sum(_ARROW.match(row) is not None for row in starting) > _MOST * len(starting):
-        separator = _detect_separator([_ARROW.sub("", row) for row in rows])
-        edits.append((_ARROW, rf"\1{separator}"))
+    has_arrow = sum(_ARROW.match(row) is not None for row in starting) > _MOST * len(starting)
+    if has_arrow:
+        edits.append((_ARROW, rf"\1{_detect_separator(without_arrow)}"))
         remarks.append("an arrow follows the time stamps")
-    enclosed = [match for match in map(_ENCLOSED.fullmatch, (_ARROW.sub("", row) for row in rows)) if match]
-    if (
-        len(enclosed) > max(_MOST * len(rows), _CONSECUTIVE - 1)
-        and len({match["letter"] for match in enclosed}) == 1
-    ):
-        letter = enclosed[0]["letter"]
+    if letter := _enclosing_letter(without_arrow):
         edits.append((re.compile(rf"(?m)(?:^|(?<=\t)){letter}(?=[-+.\d])|(?<=\d){letter}[ \t]*$"), ""))
         remarks.append(f"the letter {letter} encloses each row")
-    last = [_ARROW.sub("", row) for row in rows[-_CONSECUTIVE:]]
-    names = [tuple(match[0].rstrip(": \t").strip() for match in _LABEL.finditer(row)) for row in last]
-    if (
-        names
-        and names[0]
-        and len(set(names)) == 1
-        and all(_is_number_per_label(row, len(names[0])) for row in last)
-    ):
+    labels = _labels(without_arrow[-_CONSECUTIVE:])
+    if labels:
         edits.append((_LABEL, ""))
-        labels = ([""] if edits[0][0] is _ARROW else []) + list(names[0])
+        labels = ["", *labels] if has_arrow else labels
         remarks.append("each cell begins with the name of its column")
     for row_end in _ROW_ENDS:
         if sum(row.endswith(row_end) for row in starting) > _MOST * len(starting):
@@ -321,6 +322,24 @@ def _edits(lines: Sequence[str]) -> tuple[list[tuple[re.Pattern[str], str]], lis
                 edits.append((pattern, ""))
                 remarks.append(f"rows end with {_SEPARATORS[row_end]}")
     return edits, labels, remarks
+
+
+def _enclosing_letter(rows: Sequence[str]) -> str:
+    """Return the letter that begins and ends most rows; "" if there is none."""
+    enclosed = [match for match in map(_ENCLOSED.fullmatch, rows) if match]
+    letters = {match["letter"] for match in enclosed}
+    enough = len(enclosed) > max(_MOST * len(rows), _CONSECUTIVE - 1)
+    return letters.pop() if enough and len(letters) == 1 else ""
+
+
+def _labels(rows: Sequence[str]) -> list[str]:
+    """Return the names that stand before the numbers of all rows; none if a row has others, or no such names."""
+    names = [[match[0].rstrip(": \t").strip() for match in _LABEL.finditer(row)] for row in rows]
+    alike = all(of_row == names[0] for of_row in names)
+    found = alike and all(
+        _is_number_per_label(row, len(of_row)) for row, of_row in zip(rows, names, strict=True)
+    )
+    return names[0] if names and found else []
 
 
 def _is_number_per_label(row: str, count: int) -> bool:
