@@ -26,9 +26,9 @@ from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import fit, hold_out, prepare
 from hframe_gym.identification.fit.covariance import with_uncertainty
 from hframe_gym.identification.fit.estimation import Fit
-from hframe_gym.identification.fit.force_sizes import typical_scales
 from hframe_gym.identification.fit.model_error import fit_with_model_error, polish
 from hframe_gym.identification.fit.start_estimation import refine_dataset
+from hframe_gym.identification.fit.typical_scales import typical_scales
 from hframe_gym.identification.predict.free_parameters import default_free_parameters
 from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH
 from hframe_gym.identification.propose.candidates import effect_parameters

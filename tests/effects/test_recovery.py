@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hframe_gym.identification import fit, prepare
-from hframe_gym.identification.fit.force_sizes import scales_of_motion
+from hframe_gym.identification.fit.typical_scales import scales_of_motion
 from hframe_gym.identification.predict.prediction import POLISH_STEP, SIMULATION
 from hframe_gym.identification.propose.candidates import effect_parameters
 from hframe_gym.machine import Machine

@@ -11,7 +11,7 @@ from ...machine import Machine
 from ...preparation.dataset import Dataset, PreparedRecording
 from ..evidence.tried_effects import SelectedEffect
 from ..fit.estimation import Fit, prediction_cost
-from ..fit.force_sizes import force_error
+from ..fit.inverse_dynamics import force_error
 from ..judge import held_out as judge
 from ..judge.error import FitError
 from ..judge.run import HeldOutRun, contradicts
@@ -58,8 +58,8 @@ def error_reduction(without: Machine, machine: Machine, validation: Dataset, ban
     The error is the root mean square prediction error in units of the sensors' noise. With the widest observer
     (60 rad/s), for machines without belts and with a drive and a sensor for each coordinate, it is the error of the
     drives' force instead: force by the voltages minus force that the measured motion requires
-    (`force_sizes.force_error`). Effects on sensors do not change this force. If the machines differ in such effects,
-    the prediction errors are therefore compared.
+    (`inverse_dynamics.force_error`). Effects on sensors do not change this force. If the machines differ in such
+    effects, the prediction errors are therefore compared.
 
     Args:
         without: Machine to compare with, for example without an effect.

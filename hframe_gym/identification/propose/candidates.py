@@ -20,8 +20,8 @@ from ...machine import AppliedEffect, Effect, EffectParameter, Machine
 from ...preparation.dataset import Dataset
 from ...registry import Registry
 from ..fit.estimation import Fit
-from ..fit.force_sizes import SESSION, TypicalScales, typical_scales
 from ..fit.missing_force import follow_runs, missing_force, sensor_errors
+from ..fit.typical_scales import SESSION, TypicalScales, typical_scales
 from ..predict.free_parameters import FreeParameter
 from ..predict.prediction import SEARCH_BANDWIDTH
 from .periodogram import MIN_FORCE_PERIODS, MIN_FRICTION_PERIODS

@@ -29,7 +29,7 @@ from ...machine import UNITS, AppliedEffect, Effect, Machine
 from ...preparation.dataset import Dataset, PreparedRecording
 from ..budget import spender
 from ..fit.estimation import Fit
-from ..fit.force_sizes import TypicalScales
+from ..fit.typical_scales import TypicalScales
 from ..predict.free_parameters import prior_precision, second_difference_penalty
 from ..predict.linearization import DIFFERENCE_STEP, ResidualModel
 from ..predict.prediction import mechanical_rows_per_block, predict

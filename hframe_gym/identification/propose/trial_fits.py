@@ -17,8 +17,9 @@ from ...machine import AppliedEffect, Machine
 from ...preparation.dataset import Dataset
 from ..budget import spend
 from ..fit.estimation import Fit, fit, prediction_cost
-from ..fit.force_sizes import TypicalScales, effect_force, residue_force, typical_scales
+from ..fit.force_sizes import effect_force, residue_force
 from ..fit.model_error import continue_fit, polish, search_step
+from ..fit.typical_scales import TypicalScales, typical_scales
 from ..judge import trial as judge
 from ..judge.criteria import SelectionCriteria
 from ..judge.error import FitError

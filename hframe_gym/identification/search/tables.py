@@ -22,9 +22,9 @@ from ...preparation.dataset import Dataset, PreparedRecording
 from ..budget import spend
 from ..evidence.tried_effects import Log, SelectedEffect, Selection
 from ..fit.estimation import Fit, describe_gain
-from ..fit.force_sizes import TypicalScales, typical_scales
 from ..fit.missing_force import HIGHEST_FREQUENCY, missing_force
 from ..fit.model_error import continue_fit, left_out_costs
+from ..fit.typical_scales import TypicalScales, typical_scales
 from ..judge import table as judge
 from ..judge.criteria import SelectionCriteria
 from ..judge.error import is_enough, required_gain

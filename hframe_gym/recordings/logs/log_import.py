@@ -23,9 +23,10 @@ from ..recording import Recording, run_name, write_recording
 from ..tables.table_file import SUFFIXES
 from ..tables.text_reader import Progress, cumulative
 from .log import Log, headers_text
-from .log_conversion import LogConverter, split_at_rests
+from .log_conversion import LogConverter
 from .log_files import find_logs, log_size, open_logs
 from .log_mapping import ChannelSource, MappingOptions, map_columns
+from .log_rests import split_at_rests
 from .measurement_units import channel_dimension
 
 RunFormat = Literal["csv.gz", "csv", "parquet"]

@@ -10,14 +10,10 @@ import pytest
 from hframe_gym.dynamics.simulation import simulate_batch
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification.fit.channel_errors import white_sensors
-from hframe_gym.identification.fit.missing_force import (
-    dependence_variables,
-    missing_force,
-    missing_motions,
-    smooth_force_residual,
-    smooth_sign,
-)
-from hframe_gym.identification.propose.dependences import _curve, rank_dependences
+from hframe_gym.identification.fit.missing_force import missing_force, missing_motions, smooth_force_residual
+from hframe_gym.identification.fit.motion_variables import dependence_variables, smooth_sign
+from hframe_gym.identification.propose.causes import _curve
+from hframe_gym.identification.propose.dependences import rank_dependences
 from hframe_gym.identification.propose.periodogram import periodogram_peaks
 from hframe_gym.identification.report.plots import _with_unit
 from hframe_gym.machine import BUILTIN_MACHINES, AppliedEffect, Machine

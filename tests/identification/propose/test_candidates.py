@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hframe_gym.effects import EFFECTS, register_effect, unregister_effect
-from hframe_gym.identification.fit.force_sizes import TypicalScales
+from hframe_gym.identification.fit.typical_scales import TypicalScales
 from hframe_gym.identification.judge.criteria import SelectionCriteria
 from hframe_gym.identification.propose.candidates import Candidate, SearchState, candidates, effect_parameters
 from hframe_gym.identification.propose.periodogram import periodogram_peaks, slow_rates

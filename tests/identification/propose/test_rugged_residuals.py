@@ -9,7 +9,7 @@ from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset, Fit, default_free_parameters, fit, prepare
 from hframe_gym.identification.fit.covariance import with_uncertainty
-from hframe_gym.identification.fit.force_sizes import typical_scales
+from hframe_gym.identification.fit.typical_scales import typical_scales
 from hframe_gym.identification.judge.criteria import SelectionCriteria
 from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH
 from hframe_gym.identification.propose.candidates import Candidate, effect_parameters

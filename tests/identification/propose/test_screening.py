@@ -9,7 +9,7 @@ import pytest
 
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset, Fit, default_free_parameters, fit, prepare, screen
-from hframe_gym.identification.fit.force_sizes import typical_scales
+from hframe_gym.identification.fit.typical_scales import typical_scales
 from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH, SIMULATION, predict
 from hframe_gym.identification.propose.candidates import Candidate
 from hframe_gym.identification.propose.screening import candidate_perturbations, screen_structures

@@ -30,8 +30,8 @@ from hframe_gym.recordings import (
     read_mapping_file,
     write_recording,
 )
-from hframe_gym.recordings.logs.log_conversion import split_at_rests
 from hframe_gym.recordings.logs.log_files import log_name
+from hframe_gym.recordings.logs.log_rests import split_at_rests
 from hframe_gym.recordings.logs.measurement_units import accepted_units
 from hframe_gym.recordings.wrong_units import WrongUnitError
 

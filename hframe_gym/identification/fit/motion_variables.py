@@ -1,0 +1,112 @@
+"""The variables of a motion on which a missing force may depend: positions, speeds, currents, loads, heat, time."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import signal
+
+from ...arrays import Array
+from ...dynamics.motion_forces import law_torques
+from ...machine import Machine
+from ...preparation.dataset import Dataset, PreparedRecording
+from ..predict.prediction import SEARCH_BANDWIDTH, predict
+from .missing_force import low_pass
+
+_HEAT_S = 2.0  # time constant of a winding's heat; small motors have 1 to 30 s, recordings last a few seconds
+_CONTACT_M = 0.3e-3  # travel after which the contacts of two surfaces are renewed; 0.01 to 1 mm
+_SLOW = 0.03  # of the rms speed; below, the direction of a measured velocity is uncertain
+
+
+def dependence_variables(machine: Machine, run: PreparedRecording, data: Dataset) -> dict[str, Array]:
+    """Return the variables of a run on which the force of a missing effect may depend.
+
+    Args:
+        machine: Machine that predicts positions and velocities, corrected by an observer at every sample.
+        run: Measured run, n samples.
+        data: Data set of the run, for the sampling period.
+
+    Returns:
+        By name, shape (n,) each, as `variables_of_motion`.
+    """
+    motion = predict(machine, run, SEARCH_BANDWIDTH, period=data.period, states=True)
+    return variables_of_motion(machine, run, data, motion.positions[0], motion.velocities[0])
+
+
+def variables_of_motion(
+    machine: Machine, run: PreparedRecording, data: Dataset, positions: Array, velocities: Array
+) -> dict[str, Array]:
+    """Return the variables of a run on which a missing effect may depend, for given positions and velocities.
+
+    Args:
+        machine: Machine, whose parameters give currents and loads.
+        run: Measured run, n samples.
+        data: Data set of the run, for the sampling period.
+        positions: Positions, m or rad, shape (n, coordinates).
+        velocities: Velocities, m/s or rad/s, shape (n, coordinates).
+
+    Returns:
+        By name, shape (n,) each. For each coordinate C: "position of C" (m or rad), "velocity of C", "acceleration of
+        C" below 30 Hz, "path of C" since the start of the run, and "dwell of C", the age of its contacts (s). For each
+        drive D: "current of D" (A; the inductance neglected; for a drive with a law its torque, Nm), "heat of D" (A^2),
+        "load of D", the force that is left for the belts (N or Nm), "impulse of D", the integral of the load. The input
+        channels (V); sums over the drives: "current of drives", "power of drives" (W), "load of drives", and its rate,
+        "tension rate of belts"; "time" and
+        "time in the run" (s).
+    """
+    names, period = machine.coordinate_names, data.period
+    accelerations = np.gradient(low_pass(velocities, period), run.time_s, axis=0)
+    variables: dict[str, Array] = {}
+    for i, name in enumerate(names):
+        speed = np.abs(velocities[:, i])
+        variables[f"position of {name}"] = positions[:, i]
+        variables[f"velocity of {name}"] = velocities[:, i]
+        variables[f"acceleration of {name}"] = accelerations[:, i]
+        variables[f"path of {name}"] = np.cumsum(speed) * period
+        variables[f"dwell of {name}"] = _contact_age(speed * machine.travel_per_unit[i], period)
+    power, rate, loads, currents = np.zeros((4, len(run.time_s)))
+    torques = law_torques(machine, run.time_s, positions, velocities, run.inputs)
+    for j, drive in enumerate(machine.drives):
+        i = names.index(drive.coordinate)
+        coordinate = machine.coordinates[i]
+        if drive.law:
+            amps = torques[:, j]
+            force = drive.gear_ratio * amps
+        else:
+            amps = (run.inputs[:, j] - drive.emf_constant * velocities[:, i]) / drive.resistance
+            force = drive.gain * drive.resistance * amps
+        load = force - coordinate.mass * accelerations[:, i] - coordinate.viscous * velocities[:, i]
+        load -= coordinate.coulomb * smooth_sign(velocities[:, i])
+        variables[machine.input_channels[j]] = run.inputs[:, j]
+        variables[f"current of {drive.name}"] = amps
+        forgotten = np.exp(-period / _HEAT_S)
+        variables[f"heat of {drive.name}"] = signal.lfilter([1.0 - forgotten], [1.0, -forgotten], amps**2)
+        variables[f"load of {drive.name}"] = load
+        variables[f"impulse of {drive.name}"] = np.cumsum(load) * period
+        loads += load
+        power += run.inputs[:, j] * amps
+        currents += amps
+        rate += np.gradient(low_pass(load[:, None], period)[:, 0], run.time_s)
+    variables |= {"current of drives": currents, "power of drives": power, "load of drives": loads}
+    variables["tension rate of belts"] = rate
+    return variables | {"time": run.time_s, "time in the run": run.time_s - run.time_s[0]}
+
+
+def smooth_sign(velocity: Array) -> Array:
+    """Return the direction of a motion, between -1 and 1 where it is slow.
+
+    Args:
+        velocity: Velocity, m/s or rad/s, shape (n,).
+
+    Returns:
+        Direction, dimensionless, shape (n,).
+    """
+    slow = _SLOW * float(np.sqrt(np.mean(velocity**2)))
+    return velocity / (np.abs(velocity) + slow) if slow > 0.0 else np.zeros_like(velocity)
+
+
+def _contact_age(speed: Array, period: float) -> Array:
+    """Return for how long the contacts of a coordinate have rested, s, from its speed, m/s: age' = 1 - speed age/D."""
+    age, ages = 0.0, np.empty(len(speed))
+    for row, kept in enumerate(np.exp(-speed * period / _CONTACT_M)):
+        ages[row] = age = (age + period) * kept
+    return ages

@@ -1,0 +1,273 @@
+"""Causes of a missing force and of what sensors disagree about, each a curve of unknown shape at one component.
+
+The library of effects is finite; what a machine really lacks may be outside it. Each cause here is weaker than an
+effect, and wider: a curve over one variable (`variables_of_motion`). It may multiply a direction of motion, a current
+or a voltage, as friction, torque and supply voltage do: friction that depends on the position of another axis is a
+curve over that position, multiplied by the direction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+
+from ...arrays import Array
+from ...machine import Machine
+from ..fit.motion_variables import smooth_sign
+from .cause_evidence import Cause, Columns, Evidence, Signals
+
+_KNOTS, _KNOTS_OF_FACTOR = 13, 6  # of a curve; of one that multiplies a direction, current or voltage
+_HIGHEST_HZ = 25.0  # frequency of a periodic force in slow motion; a filter removes faster ones
+_SLOW_MOTION = 0.2  # fraction of the rows of a motion that are slower
+# Periods of a periodic cause in the travel, at least; the most, in multiples of that.
+_PERIODS, _MOST_PERIODS = 2.0, 200.0
+_SCREENED_ROWS = 1500  # among which the period is searched for
+_RESONANCES_HZ = np.geomspace(1.0, 25.0, 30)
+_DAMPING = 0.03  # of a resonance: rubber and steel have 0.01 to 0.1
+_LAGS_S = (0.005, 0.02, 0.05)  # of what belts do after a change of tension
+
+
+def causes_of_force(
+    machine: Machine, evidence: Evidence, directions: Array, deviating: NDArray[np.bool_]
+) -> Iterator[Cause]:
+    """Yield causes that are forces: on each coordinate, by each drive, by both drives, and the clock.
+
+    Args:
+        evidence: The missing force.
+        directions: Force along each motion per force on a coordinate, dimensionless, shape (motions, coordinates).
+        deviating: Coordinates whose sensors show more than noise, shape (coordinates,).
+    """
+    names = machine.coordinate_names
+    acting = [i for i in range(len(names)) if deviating[i] and np.any(directions[:, i] != 0.0)]
+    for i in acting:
+        yield from _causes_on_coordinate(machine, evidence, i)
+    together: dict[str, list[tuple[int | None, Columns]]] = {}
+    for j, drive in enumerate(machine.drives):
+        i = names.index(drive.coordinate)
+        if i not in acting:
+            continue
+        yield from _causes_by_drive(machine, evidence, j)
+        for variable, columns in _effects_of_supply(machine, evidence.signals, j).items():
+            together.setdefault(variable, []).append((i, drive.gain * columns))
+    for variable, parts in together.items():
+        if len(parts) > 1:
+            yield Cause("drives", variable, machine.drives[0].coordinate, tuple(parts))
+    if acting:
+        yield _clock(machine, evidence.signals, acting)
+
+
+def _causes_on_coordinate(machine: Machine, evidence: Evidence, i: int) -> Iterator[Cause]:
+    """Yield causes that act on coordinate i: curves, periodic forces, friction that varies, and a resonance."""
+    signals, name = evidence.signals, machine.coordinate_names[i]
+    position, velocity, acceleration = (
+        f"{what} of {name}" for what in ("position", "velocity", "acceleration")
+    )
+
+    def on(variable: str, columns: Columns) -> Cause:
+        return Cause(name, variable, name, ((i, columns),))
+
+    sign = smooth_sign(signals[velocity])[:, None]
+    for variable in (position, velocity):
+        yield on(variable, _curve(signals[variable], _KNOTS))
+    for factor in (np.ones_like(sign), sign):
+        yield on(position, factor * _periodic(evidence, i, position, velocity, factor))
+    others = [c.name for c in machine.coordinates if c.kind == "linear" and c.name != name]
+    for other in (f"{what} of {n}" for n in others for what in ("position", "velocity")):
+        values = signals[other] if other.startswith("position") else np.abs(signals[other])
+        yield on(other, sign * _curve(values, _KNOTS_OF_FACTOR))
+    for variable in (position, f"dwell of {name}"):
+        yield on(variable, sign * _curve(signals[variable], _KNOTS_OF_FACTOR))
+    for variable in (f"path of {name}", "time", "time in the run"):  # as friction warms up: slowly
+        yield on(variable, sign * _polynomial(signals[variable]))
+    yield on(acceleration, _resonance(evidence, i, acceleration))
+
+
+def _causes_by_drive(machine: Machine, evidence: Evidence, j: int) -> Iterator[Cause]:
+    """Yield causes that are forces of drive j: wrong currents and voltages, heat, and cogging with the current."""
+    signals, drive, volts = evidence.signals, machine.drives[j], machine.input_channels[j]
+    i = machine.coordinate_names.index(drive.coordinate)
+    amps, heat = f"current of {drive.name}", f"heat of {drive.name}"
+    position, speed = f"position of {drive.coordinate}", f"velocity of {drive.coordinate}"
+    current = signals[amps][:, None]
+    causes = {
+        amps: _curve(signals[amps], _KNOTS),
+        volts: _curve(signals[volts], _KNOTS),
+        heat: current * _polynomial(signals[heat]),
+        "time in the run": current * _polynomial(signals["time in the run"]),
+        position: current * _periodic(evidence, i, position, speed, current),
+    }
+    for variable, columns in causes.items():
+        yield Cause(drive.name, variable, drive.coordinate, ((i, columns),))
+
+
+def _effects_of_supply(machine: Machine, signals: Signals, j: int) -> dict[str, Columns]:
+    """Return the changes of drive j, before its gain, that a supply or saturation common to all drives causes."""
+    current = signals[f"current of {machine.drives[j].name}"][:, None]
+    volts = signals[machine.input_channels[j]][:, None]
+    return {
+        "current of drives": np.hstack([current * np.abs(current), current**3]),
+        "power of drives": volts * _polynomial(signals["power of drives"]),
+    }
+
+
+def _clock(machine: Machine, signals: Signals, acting: list[int]) -> Cause:
+    """Return the cause of a clock whose rate changes during the runs: all accelerations and velocities are wrong."""
+    names, late = machine.coordinate_names, signals["time in the run"][:, None]
+    middle = late - 0.5 * late.max()
+    parts = []
+    for i in acting:
+        coordinate = machine.coordinates[i]
+        damping = coordinate.viscous + sum(
+            d.gain * d.emf_constant for d in machine.drives if d.coordinate == names[i]
+        )
+        force = 2.0 * coordinate.mass * signals[f"acceleration of {names[i]}"]
+        force += damping * signals[f"velocity of {names[i]}"]
+        parts.append((i, force[:, None] * np.hstack([middle, middle**2])))
+    return Cause("clock", "time in the run", names[acting[0]], tuple(parts))
+
+
+def causes_of_disagreement(
+    machine: Machine, evidence: Evidence, deviating: NDArray[np.bool_]
+) -> Iterator[Cause]:
+    """Yield causes that are errors of one sensor, gaps or slip between a motor and its encoder, and of the belts.
+
+    Args:
+        evidence: What the sensors disagree about.
+        deviating: Sensors that show more than noise, shape (sensors,).
+    """
+    signals = evidence.signals
+    by_coordinate = {sensor.coordinate: j for j, sensor in enumerate(machine.sensors) if sensor.of_position}
+    for j, sensor in enumerate(machine.sensors):
+        if not sensor.of_position or not deviating[j] or not np.any(evidence.direction(j)):
+            continue
+        name, channel = sensor.coordinate, machine.output_channels[j]
+        position, speed = f"position of {name}", f"velocity of {name}"
+        for variable, columns in (
+            (position, _curve(signals[position], _KNOTS)),
+            (position, _periodic(evidence, j, position, speed, np.ones((len(signals[speed]), 1)))),
+            (speed, _curve(signals[speed], _KNOTS)),
+        ):
+            yield Cause(channel, variable, name, ((j, columns),))
+    loads: list[tuple[int | None, Columns]] = []
+    for drive in machine.drives:
+        sensor_index = by_coordinate.get(drive.coordinate)
+        if sensor_index is None or not np.any(evidence.direction(sensor_index)):
+            continue
+        # A gap is open towards the load: its sign counts, its size bends shafts.
+        load = signals[f"load of {drive.name}"]
+        loads.append((sensor_index, _curve(load / (float(load.std()) or 1.0), _KNOTS)))
+        for what, columns in (
+            ("load", loads[-1][1]),
+            ("impulse", signals[f"impulse of {drive.name}"][:, None]),
+        ):
+            yield Cause(drive.name, f"{what} of {drive.name}", drive.coordinate, ((sensor_index, columns),))
+    if len(loads) > 1 and len({columns.shape for _, columns in loads}) == 1:
+        yield Cause("drives", "load of drives", machine.drives[0].coordinate, tuple(loads))
+    if machine.belts and machine.drives:
+        lagged = np.hstack(
+            [signals.filtered(f"load of {drive.name}", _Lags(signals)) for drive in machine.drives]
+        )
+        name = machine.drives[0].coordinate
+        yield Cause("belts", "tension rate of belts", name, ((None, lagged),))
+
+
+class _Lags:
+    """Filter that returns how much a signal differs from its delayed values, first-order lags of `_LAGS_S`."""
+
+    def __init__(self, signals: Signals):
+        self._forgotten = [float(np.exp(-signals.period / lag)) for lag in _LAGS_S]
+
+    def __call__(self, values: Array) -> Array:
+        """Return the differences, shape (n, lags)."""
+        lagged = [signal.lfilter([1.0 - kept], [1.0, -kept], values) for kept in self._forgotten]
+        return np.stack([values - late for late in lagged], axis=1)
+
+
+def _polynomial(values: Array) -> Columns:
+    """Return the change of a variable since the first row, and its square, each of about unit size, shape (n, 2)."""
+    shifted = values - values[0]
+    scaled = shifted / (float(np.abs(shifted).max()) or 1.0)
+    return np.stack([scaled, scaled**2], axis=1)
+
+
+def _curve(values: Array, knots: int) -> Columns:
+    """Return the pieces of a curve with straight parts over a variable; between knots are as many rows.
+
+    Args:
+        values: The variable, shape (n,).
+        knots: Number of knots; fewer if the variable has fewer values.
+
+    Returns:
+        Hat functions, shape (n, at most knots).
+    """
+    places = np.unique(np.quantile(values, np.linspace(0.0, 1.0, knots)))
+    if len(places) < 2:
+        return np.ones((len(values), 1))
+    return np.stack([np.interp(values, places, hat) for hat in np.eye(len(places))], axis=1)
+
+
+def _periodic(evidence: Evidence, index: int, position: str, speed: str, factor: Columns) -> Columns:
+    """Return sine and cosine of the period in a position that explains the most; nothing of short periods is seen.
+
+    Args:
+        evidence: Force or disagreement that is explained.
+        index: Coordinate or sensor at which the cause acts.
+        position: Name of the position.
+        speed: Name of its rate.
+        factor: What the sine multiplies, shape (rows, 1).
+
+    Returns:
+        Sine and cosine, shape (rows, 2).
+    """
+    signals = evidence.signals
+    places = signals.compared(signals[position][:, None])[:, 0]
+    factors = signals.compared(factor)[:, 0]
+    travel = float(np.ptp(places))
+    slow = float(np.quantile(np.abs(signals.compared(signals[speed][:, None])), _SLOW_MOTION))
+    if travel == 0.0 or slow == 0.0:
+        return np.zeros((len(signals[position]), 2))
+    lowest, highest = 2.0 * np.pi * _PERIODS / travel, 2.0 * np.pi * _HIGHEST_HZ / slow
+    highest = min(max(highest, 2.0 * lowest), _MOST_PERIODS * lowest)
+    numbers = np.arange(lowest, highest, 0.3 * 2.0 * np.pi / travel)
+    every = slice(None, None, max(1, len(places) // _SCREENED_ROWS))
+    places, seen = places[every], evidence.target(index)[every] * factors[every]
+    wave, turn = seen * np.exp(1j * numbers[0] * places), np.exp(1j * (numbers[1] - numbers[0]) * places)
+    sizes = np.empty(len(numbers))
+    for k in range(len(numbers)):
+        sizes[k] = abs(wave.sum())
+        wave *= turn
+    best = numbers[int(np.argmax(sizes))]
+    angle = best * signals[position]
+    return np.stack([np.sin(angle), np.cos(angle)], axis=1)
+
+
+def _resonance(evidence: Evidence, index: int, acceleration: str) -> Columns:
+    """Return position and velocity of the resonator, driven by an acceleration, that explains the most."""
+    signals, target = evidence.signals, evidence.target(index)
+    best, most = np.zeros((len(signals[acceleration]), 2)), 0.0
+    for hertz in _RESONANCES_HZ:
+        w = 2.0 * np.pi * hertz
+        resonator = (
+            [[0.0, 1.0], [-w * w, -2.0 * _DAMPING * w]],
+            [[0.0], [-1.0]],
+            np.diag([w * w, w]),
+            np.zeros((2, 1)),
+        )
+        discrete = signal.cont2discrete(tuple(np.array(matrix) for matrix in resonator), signals.period)
+        filters, denominator = signal.ss2tf(*discrete[:4])
+        motion = signals.filtered(acceleration, partial(_filtered, filters, denominator))
+        compared = signals.compared(motion)
+        weights = np.linalg.lstsq(compared, target, rcond=None)[0]
+        explained = float(2.0 * weights @ (compared.T @ target) - np.sum((compared @ weights) ** 2))
+        if explained > most:
+            best, most = motion, explained
+    return best
+
+
+def _filtered(filters: Array, denominator: Array, values: Array) -> Array:
+    """Return the outputs of filters with one denominator, shape (n, filters)."""
+    return np.stack([signal.lfilter(numerator, denominator, values) for numerator in filters], axis=1)
