@@ -21,7 +21,7 @@ NOISE = 20e-6  # m
 PRESLIDING = EFFECTS["presliding"].at("x", s0=3e3, s1=1.0)
 
 
-def axis_runs(truth: Machine, *, rows: int, volts: float) -> Dataset:
+def axis_recordings(truth: Machine, *, rows: int, volts: float) -> list[Recording]:
     """Return three runs of an axis at 1 kHz with ten random voltage steps each, the first of them 0 V for 50 ms."""
     rng = np.random.default_rng(3)
     recordings = []
@@ -31,7 +31,12 @@ def axis_runs(truth: Machine, *, rows: int, volts: float) -> Dataset:
         inputs[:50] = 0.0
         outputs = simulate(truth, time_s, inputs).outputs + rng.normal(0.0, NOISE, (rows, 1))
         recordings.append(Recording(f"run_{k}", time_s, inputs, outputs))
-    return prepare(recordings, AXIS)
+    return recordings
+
+
+def axis_runs(truth: Machine, *, rows: int, volts: float) -> Dataset:
+    """Return `axis_recordings`, prepared for a fit."""
+    return prepare(axis_recordings(truth, rows=rows, volts=volts), AXIS)
 
 
 def limited_runs(volts: Sequence[float], peak: int | None = None) -> list[Recording]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import socket
 import subprocess
 import sys
@@ -22,6 +21,8 @@ from hframe_gym.cli.application import CommandWithChoices
 from hframe_gym.cli.options import RayOption
 from hframe_gym.errors import InputError
 from hframe_gym.parallel import files_of, local_processes, map_tasks, ray_cluster, worker, write_files
+from hframe_gym.recordings import save_machine, write_recording
+from tests.identification.single_axis import AXIS, axis_recordings
 from tests.parallel.worker_tasks import draw, fail, threads_of
 
 ROOT = Path(__file__).parents[2]
@@ -197,29 +198,30 @@ def test_seeds_in_processes_are_those_of_single_runs(tmp_path: Path) -> None:
 
 @pytest.mark.integration
 def test_a_folder_of_rigs_becomes_a_folder_of_results(tmp_path: Path) -> None:
-    shutil.copytree(ROOT / "examples" / "rig_b", tmp_path / "rigs" / "good")
-    (tmp_path / "rigs" / "other").mkdir()
-    for path in (ROOT / "examples" / "rig_b").glob("run_*.csv.gz"):
-        shutil.copy(path, tmp_path / "rigs" / "other" / path.name.replace("run", "log"))
+    """One rig is identified, one lacks the held-out run, and the channels of one are not those of the machine."""
+    save_machine(AXIS, tmp_path / "axis.json")
+    for rig, name in (("good", "run"), ("other", "log")):
+        (tmp_path / "rigs" / rig).mkdir(parents=True)
+        for k, run in enumerate(axis_recordings(AXIS, rows=1000, volts=6.0)):
+            write_recording(tmp_path / "rigs" / rig / f"{name}_{k}.csv", run, AXIS)
     (tmp_path / "rigs" / "servo").mkdir()
     for name in ("a", "b"):
-        (tmp_path / "rigs" / "servo" / f"{name}.csv").write_text("time_s,v_V,arm_rad\n0,0,0\n0.01,0,0\n")
-    command = [
-        sys.executable,
-        "-m",
-        "hframe_gym",
-        "identify",
-        str(tmp_path / "rigs"),
+        (tmp_path / "rigs" / "servo" / f"{name}.csv").write_text("time_s,u_V,arm_rad\n0,0,0\n0.01,0,0\n")
+    command = [sys.executable, "-m", "hframe_gym", "identify", str(tmp_path / "rigs")]
+    command += [
+        "--machine",
+        str(tmp_path / "axis.json"),
         "--out",
         str(tmp_path / "out"),
+        "--hold-out",
+        "run_1",
     ]
-    command += ["--hold-out", "run_01"]
     done = subprocess.run(command, env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True, text=True)
     assert done.returncode == 2
     other, servo = done.stderr.splitlines()
     assert other.startswith("hframe: other: ")
     assert servo.startswith("hframe: servo: ")
-    assert "column v_V" in servo
+    assert "column u_V" in servo
     assert "good: No effect is missing" in done.stdout
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["good"]
     page = (tmp_path / "out" / "good" / "report.html").read_text()

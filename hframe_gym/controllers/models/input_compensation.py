@@ -71,7 +71,7 @@ class DeadTime:
         return self._sent[:, 0]
 
     def mean_arrived(self) -> Volts:
-        """Compute the mean voltages that reached the drives, after the dead time, during the last period."""
+        """Return the mean voltages that acted on the drives during the last period: those sent a dead time before."""
         times, volts = self.arrived_history()
         return np.einsum("k,bkd->bd", np.diff(times) / self.period, volts[:, :-1])
 

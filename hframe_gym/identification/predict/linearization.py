@@ -182,10 +182,12 @@ class ResidualModel:
 
         Args:
             theta: Dimensionless variables of the k free parameters at the expansion point, shape (k,).
-            responses: Function from run and motion to residual changes by m perturbations, (m, rows). Default: none.
+            responses: Computes the changes of a run's residual by m further perturbations, such as other voltages, from
+                the run and its motion, shape (m, rows). Default: none.
 
         Returns:
-            For each run: `NormalEquations` with the Jacobian J (J^T J, shape (k, k), J^T r, (k,), ...), and projection.
+            Normal equations (J^T J, shape (k, k), and J^T r, shape (k,), of Jacobian J and residual r) and the
+            projection that removes an uncertain initial state, of each run.
         """
         point = self.at(theta)
 

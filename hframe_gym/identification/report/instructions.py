@@ -12,7 +12,7 @@ from ...errors import InputError
 from ...machine import BUILTIN_MACHINES, Machine
 from ...operating_system import quoted
 from ...web_page import number
-from ..fit.parameter_diagnostics import sum_text
+from ..fit.inseparable_parameters import sum_text
 from ..judge.criteria import SelectionCriteria
 from .saved_result import SavedResult, next_command
 

@@ -14,7 +14,8 @@ from ...errors import InputError
 from ...files import output_batch
 from ...machine import Machine
 from ...web_page import number, write_page
-from ..fit.parameter_diagnostics import parameter_doubts, sum_text
+from ..fit.inseparable_parameters import sum_text
+from ..fit.parameter_diagnostics import parameter_doubts
 from .answers import answers, drifts, largest_position_error, noise_ratio, percent, tone_of_remainder
 from .correlations import error_correlations
 from .curves import channel_noise, page_curves, worst_first

@@ -22,9 +22,10 @@ from ...recordings import save_machine
 from ...web_page import number
 from ..evidence.tried_effects import SelectedEffect
 from ..fit.channel_errors import errors_by_channel, simulation_error
+from ..fit.inseparable_parameters import inseparable_parameters
 from ..fit.missing_force import Dependence, smooth_force_residual
 from ..fit.motion_variables import dependence_variables
-from ..fit.parameter_diagnostics import inseparable_parameters, parameters_at_limit, undeclared_friction
+from ..fit.parameter_diagnostics import parameters_at_limit, undeclared_friction
 from ..judge.criteria import SelectionCriteria
 from ..judge.table import is_better_than_table
 from ..judge.verdict import Verdict

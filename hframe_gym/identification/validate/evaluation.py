@@ -53,7 +53,7 @@ class HeldOutTest:
 
     @cached_property
     def validation(self) -> Dataset:
-        """Held-out runs with all measurements, also those at the ends of sensors' ranges."""
+        """Held-out runs with the measurements at the ends of sensors' ranges too, which a fit leaves out."""
         return with_all_measurements(self.held_out, self.session.usable)
 
     def errors(self, machine: Machine, fitted: Dataset) -> ModelEvaluation:

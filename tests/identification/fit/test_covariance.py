@@ -10,8 +10,8 @@ from hframe_gym.effects import EFFECTS
 from hframe_gym.envs.machine_sampler import MachineSampler
 from hframe_gym.identification import FreeParameter, fit, prepare
 from hframe_gym.identification.fit.covariance import with_uncertainty
+from hframe_gym.identification.fit.inseparable_parameters import inseparable_parameters
 from hframe_gym.identification.fit.parameter_diagnostics import (
-    inseparable_parameters,
     parameter_doubts,
     parameters_at_limit,
     undeclared_friction,
