@@ -82,6 +82,8 @@ class PreparedRecording:
             than the log. They are then interpolated between the rows (`interpolated_voltages`).
         interpolation: How they are interpolated.
         voltage_errors: What is known of the errors of interpolated voltages; None if the voltages are held.
+        clock_impulses: What the jitter of the controller's clock adds to voltages between the rows, V s, shape
+            (n, drives); None: nothing (`clock_voltages`).
     """
 
     name: str
@@ -96,6 +98,7 @@ class PreparedRecording:
     updates: int = 1
     interpolation: Interpolation = "akima"
     voltage_errors: VoltageErrors | None = field(default=None, repr=False, compare=False)
+    clock_impulses: Array | None = field(default=None, repr=False)
 
     def bandwidth(self, of_prediction: float) -> float:
         """Return the bandwidth of the observer that corrects a prediction of this run by the measurements.
@@ -120,7 +123,10 @@ class PreparedRecording:
             count: Number of rows to keep.
         """
         series = ("time_s", "inputs", "outputs", "noise", "weights", "dropped")
-        return dataclasses.replace(self, **{name: getattr(self, name)[:count] for name in series})
+        impulses = None if self.clock_impulses is None else self.clock_impulses[:count]
+        return dataclasses.replace(
+            self, clock_impulses=impulses, **{name: getattr(self, name)[:count] for name in series}
+        )
 
     def initial_state(self, machine: Machine) -> Array:
         """Return the state from which a machine is simulated over this run.

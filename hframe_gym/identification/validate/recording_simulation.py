@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ...arrays import Array
 from ...dynamics import resolved_step, simulate, simulate_batch
 from ...machine import Machine, Trajectory
+from ...preparation.clock_voltages import clock_impulses, with_clock_impulses
 from ...preparation.encoder_zeros import EncoderZeros
 from ...preparation.initial_state import measured_initial_state, model_initial_states
 from ...preparation.interpolated_voltages import update_times, updated_inputs
@@ -88,7 +89,7 @@ def simulate_recording(
     initial = _initial_state(machine, cleaned, criteria, updates)
     motion = simulate(
         machine,
-        *_updated(cleaned, updates),
+        *_updated(machine, cleaned, updates),
         initial.start(machine),
         offset=initial.zeros,
         longest_step=resolved_step(machine, POLISH_STEP),
@@ -150,13 +151,14 @@ def _cleaned(
     return dataclasses.replace(filled, inputs=run.inputs), logged
 
 
-def _updated(recording: Recording, updates: int) -> tuple[Array, Array]:
+def _updated(machine: Machine, recording: Recording, updates: int) -> tuple[Array, Array]:
     """Return the times at which the controller changes the voltages, s, and the voltages from then on, V."""
     if updates == 1:
         return recording.time_s, recording.inputs
-    return update_times(recording.time_s, updates), updated_inputs(
-        recording.time_s, recording.inputs, updates
-    )
+    of_position = [sensor.of_position for sensor in machine.sensors]
+    impulses = clock_impulses(recording.time_s, recording.inputs, recording.outputs[:, of_position])
+    inputs = with_clock_impulses(recording.inputs, impulses, recording.time_s, updates)
+    return update_times(recording.time_s, updates), updated_inputs(recording.time_s, inputs, updates)
 
 
 def _initial_state(
@@ -172,7 +174,7 @@ def _initial_state(
     max_means = max_zero_means(free_zeros(machine), quanta)
     measured = np.isfinite(usable.outputs)
     zeroed = has_zero(machine)
-    updated, step_s = _updated(recording, updates), resolved_step(machine, POLISH_STEP)
+    updated, step_s = _updated(machine, recording, updates), resolved_step(machine, POLISH_STEP)
 
     def errors(states: Array, outputs: Array) -> Array:
         """Return measured minus simulated values in the first k rows, 0 if not measured, shape (B, k, sensors)."""

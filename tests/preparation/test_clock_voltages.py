@@ -1,0 +1,80 @@
+"""Tests of the mean voltages that the jitter of a controller's clock causes between the rows of a slow log."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hframe_gym.arrays import Array
+from hframe_gym.preparation.clock_voltages import clock_impulses, with_clock_impulses
+from hframe_gym.preparation.interpolated_voltages import update_times, updated_inputs
+
+PERIOD, ROWS = 1e-3, 1500  # s, of the controller; rows of a log
+LOGS = 40  # one log alone tells the mean within a third
+ANSWER = -30.0  # V/rad
+
+
+def controlled(
+    updates: int, *, jitter: float, stamps: float = 0.0, answer: float = ANSWER, seed: int = 0
+) -> tuple[Array, ...]:
+    """Return stamps, voltages and angles of a log, with all times, all voltages and speeds of its controller.
+
+    Args:
+        updates: Changes of the voltage from one row of the log to the next.
+        jitter: Standard deviation of the times at which the controller reads, s.
+        stamps: Standard deviation of the errors of the stamps, s.
+        answer: Voltage per angle that the sensor is farther on than expected, V/rad.
+        seed: Seed of times and noise.
+    """
+    rng = np.random.default_rng(seed)
+    nominal = np.arange(ROWS * updates + 1) * PERIOD
+    time_s = nominal + np.clip(rng.normal(0.0, jitter, len(nominal)), -0.4 * PERIOD, 0.4 * PERIOD)
+    speed = 10.0 * np.sin(2.0 * np.pi * 0.7 * nominal)  # rad/s
+    farther = speed * (time_s - nominal)
+    angle = np.cumsum(speed) * PERIOD + farther
+    inputs = (0.2 * speed + answer * farther + rng.normal(0.0, 5e-3, len(nominal)))[:, None]
+    logged = time_s[::updates] + rng.normal(0.0, stamps, ROWS + 1) if stamps else time_s[::updates]
+    return logged, inputs[::updates], angle[::updates, None], time_s, inputs, speed
+
+
+def missing_back_emf(updates: int, *, corrected: bool) -> float:
+    """Return the mean voltage, per speed, that interpolated voltages of some logs lack, V s/rad."""
+
+    def of_log(seed: int) -> float:
+        stamps, logged, angles, time_s, inputs, speed = controlled(updates, jitter=100e-6, seed=seed)
+        impulses = clock_impulses(stamps, logged, angles)
+        rows = with_clock_impulses(logged, impulses, stamps, updates) if corrected else logged
+        between = updated_inputs(stamps, rows, updates)[:-1, 0] * np.diff(update_times(stamps, updates))
+        lacking = inputs[:-1, 0] * np.diff(time_s) - between
+        return float(np.sum(lacking * speed[:-1]) / np.sum(speed[:-1] ** 2 * PERIOD))
+
+    return float(np.mean([of_log(seed) for seed in range(LOGS)]))
+
+
+@pytest.mark.parametrize("updates", [2, 4, 8])
+def test_interpolated_voltages_have_the_mean_that_the_jitter_causes(updates: int) -> None:
+    lacking = -ANSWER * (100e-6) ** 2 / PERIOD * (1.0 - updates**-2.0)
+    assert missing_back_emf(updates, corrected=False) == pytest.approx(lacking, rel=0.2)
+    assert abs(missing_back_emf(updates, corrected=True)) < 0.2 * lacking
+
+
+@pytest.mark.parametrize(
+    ("jitter", "stamps", "answer"),
+    [
+        (0.0, 0.0, ANSWER),  # equal steps
+        (0.0, 100e-6, ANSWER),  # only the stamps err: the controller does not know them
+        (100e-6, 0.0, 0.0),  # the controller divides by the time that has passed
+    ],
+)
+def test_without_answers_to_jitter_nothing_is_added(jitter: float, stamps: float, answer: float) -> None:
+    log = controlled(4, jitter=jitter, stamps=stamps, answer=answer)
+    impulses = clock_impulses(*log[:3])
+    assert np.abs(impulses).max() < 0.03 * 10.0 * abs(ANSWER) * (100e-6) ** 2
+
+
+def test_a_log_with_all_voltages_or_few_rows_stays_as_it_is() -> None:
+    stamps, inputs, angles, *_ = controlled(1, jitter=100e-6)
+    impulses = clock_impulses(stamps, inputs, angles)
+    np.testing.assert_array_equal(with_clock_impulses(inputs, impulses, stamps, 1), inputs)
+    assert not clock_impulses(stamps[:50], inputs[:50], angles[:50]).any()
+    assert not clock_impulses(stamps, inputs, np.full_like(angles, np.nan)).any()
