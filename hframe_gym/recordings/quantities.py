@@ -228,6 +228,9 @@ _NEEDS_NAME = {
     "s": "t",
     "min": "t",
 }
+# Units of time that are also the complete header of its column: "ms" in traces of servo drives, "millis" on an Arduino.
+# "us" and "min" are not: they may be a supply voltage and a minimum.
+TIME_HEADERS = ("ms", *_SPELLINGS["ms"], *_SPELLINGS["us"])
 # Names of a voltage or current before "_m" and "_in", which then stand for the motor and the input.
 _ELECTRICAL = re.compile(r"[uvi][a-z]?\d*")
 
@@ -331,7 +334,8 @@ def split_unit(header: str) -> tuple[str, str]:
         name: Name without the unit.
         unit: Unit in its usual spelling, such as "mm" or "rpm"; "" if the header has none. Any text in brackets is a
             unit. Without brackets, only known units are recognized, and those of one letter, such as "A", only if the
-            name agrees: "current_A" and "i1_A" have a unit, "phase_A" has none. The word rpm is a unit wherever it is.
+            name agrees: "current_A" and "i1_A" have a unit, "phase_A" has none. The word rpm is a unit wherever it is,
+            and "ms", "millis" or "micros" alone are a time.
     """
     plain = header.strip()
     if len(plain) > _LONGEST_HEADER:
@@ -350,6 +354,8 @@ def split_unit(header: str) -> tuple[str, str]:
         return re.sub(r"\s+in$", "", match["name"]).strip(), normalize_unit(match["unit"])
     if "rpm" in _tokens(plain):  # a unit wherever it stands: "RPM", "rpm1", "motorRPM_left"
         return plain, "rpm"
+    if plain.lower() in TIME_HEADERS:
+        return plain, normalize_unit(plain)
     return plain, ""
 
 

@@ -35,6 +35,9 @@ from hframe_gym.recordings.quantities import QUANTITIES, meaning_of, normalize_u
         ("temp_C", "temp", "degC"),
         ("TIME_S", "TIME", "s"),
         ("rpm", "rpm", "rpm"),  # a name that is a unit
+        ("ms", "ms", "ms"),
+        ("Micros", "Micros", "us"),
+        ("us", "us", ""),  # a supply voltage
         ("motorRPM_left", "motorRPM_left", "rpm"),
         ("phase_A", "phase_A", ""),  # a letter that numbers a phase
         ("u_m", "u_m", ""),  # the voltage of a motor
@@ -208,7 +211,12 @@ def test_a_column_of_another_quantity_is_no_position(
             "and time_s is a time; for a log without a column of time state the rate of its",
         ),
         ("position__[turns]", {"scales": {"time_s": 0.001}}, "is an angle in rev, and time_s is a time"),
-        ("torque", {"units": {"time_s": "s"}}, "torque is a torque by its name, and time_s is a time"),
+        (
+            "torque",
+            {},
+            "torque is a torque by its name, and time_s is a time.*--unit time_s=s if the column is",
+        ),
+        ("torque", {"units": {"time_s": "Nm"}}, "torque is a torque by its name, and time_s is a time"),
         (
             "sample",
             {},
@@ -225,6 +233,24 @@ def test_a_column_of_another_quantity_is_no_time(
     if header != "sample":
         with pytest.raises(InputError, match="--map time_s=COLUMN"):
             run_of(path, axis)
+
+
+def test_curves_with_their_own_times_are_read_by_the_unit_of_the_times(axis: Machine, tmp_path: Path) -> None:
+    columns = {"/effort[1]_x": TIME, "/effort[1]_y": INPUT, "/pose_x": TIME + 2e-4, "/pose_y": POSITION}
+    log = log_of(tmp_path / "log.csv", **columns)
+    names = {"time_s": "/effort[1]_x,/pose_x", "v_V": "/effort[1]_y", "x_m": "/pose_y"}
+    run = run_of(log, axis, columns=names, units={"time_s": "s", "v_V": "V"})
+    measured = ~np.isnan(run.outputs[:, 0])
+    np.testing.assert_allclose(run.time_s[measured], TIME + 2e-4, atol=1e-9)
+    np.testing.assert_allclose(run.outputs[measured, 0], POSITION, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("header", "unit"), [("ms", 1e-3), ("micros", 1e-6)])
+def test_a_time_that_is_called_by_its_unit_is_found(
+    header: str, unit: float, axis: Machine, tmp_path: Path
+) -> None:
+    log = log_of(tmp_path / "log.csv", **{header: TIME / unit, "v_V": INPUT, "x_m": POSITION})
+    np.testing.assert_allclose(run_of(log, axis).time_s, TIME, rtol=1e-9)
 
 
 def test_a_temperature_called_t_is_no_time(axis: Machine, tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from ...errors import InputError, suggestion
 from ...machine import DRIVE_KINDS, Machine
 from ...operating_system import quoted
-from ..quantities import QUANTITIES, normalize_unit
+from ..quantities import QUANTITIES, TIME_HEADERS, normalize_unit
 from .log import ROW_NUMBER, Log, LogColumn, headers_text, plain_name
 from .measurement_units import (
     ALL_SPEED_UNITS,
@@ -29,8 +29,8 @@ from .possible_maps import obstacle
 
 NOT_MEASURED = "none"  # given instead of a column: the output was not measured
 _NO_PROPOSAL = "COLUMN"  # in the proposed options, where no column may be the channel
-# Names of a column of sample times, in lower case, without blanks and punctuation; the last is that of LabVIEW.
-_TIME_NAMES = ("time", "t", "timestamp", "zeit", "elapsedtime", "seconds", "sec", "xvalue")
+# Names of a column of sample times, in lower case, without blanks and punctuation; "xvalue" is that of LabVIEW.
+_TIME_NAMES = ("time", "t", "timestamp", "zeit", "elapsedtime", "seconds", "sec", "xvalue", *TIME_HEADERS)
 # First letters of columns that a message proposes for a channel: u, v for voltages; x, y, z, "pos" for lengths; "phi",
 # "angle", q, "encoder" for angles. Such a column is never assigned before the user confirms it.
 _FIRST_LETTERS: dict[Dimension, str] = {

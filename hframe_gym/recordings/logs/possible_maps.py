@@ -55,6 +55,8 @@ def _is_possible(machine: Machine, channel: str, column: Meaning, unit: str | No
             column.evidence == "name" and column.quantity in _MOTIONS and column.quantity != dimension
         )
         return not other_motion or scaled or unit is not None
+    if channel == TIME and column.evidence == "name" and unit in accepted_units(machine, TIME):
+        return True  # the curve's name of a plotting tool, "effort_x,effort_y"; times that do not rise are refused
     if channel == TIME:
         return family in _COUNTS and (scaled or unit is not None)
     if family == "count":
@@ -115,7 +117,10 @@ def _advice(machine: Machine, channel: str, column: Meaning) -> str:
     if channel == TIME:
         if family in _COUNTS:
             return f"state the rate of its steps by --unit {TIME}=8kHz, or a factor to s by --scale {TIME}=FACTOR"
-        return f"for a log without a column of time state the rate of its rows, e.g. --map {TIME}=200Hz"
+        advice = f"for a log without a column of time state the rate of its rows, e.g. --map {TIME}=200Hz"
+        if column.evidence == "name":
+            return f"{advice}; add --unit {TIME}=s if the column is a time in spite of its name"
+        return advice
     if channel in machine.input_channels:
         if family in _AMPLIFIER_COMMANDS and _has_no_back_emf(machine, channel):
             units = ", ".join(accepted_units(machine, channel))
