@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -54,6 +54,10 @@ _WORSE_THAN_DECLARED = "predicts the held-out runs worse than the declared machi
 _DESCRIPTION = (
     "The machine that is delivered describes the remaining error by {}. They are no causes: other effects with similar "
     "forces might describe these runs as well. With them, the error on the held-out runs is {:.3g} times that without."
+)
+_ONLY_COMPLETE_RUNS = (
+    " This holds for complete runs only: with them, the machine lacks {:.3g} % of the drives' force, without them "
+    "{:.3g} %. Control with before.json, which has none of them."
 )
 
 
@@ -218,8 +222,26 @@ def _described(
         ratio = error_ratio(again.after, base)
         log(f"described by {', '.join(labels)}: {ratio:.3g} times the error on the held-out runs")
         if description_helps(error_ratio(again.after, best.after if best else base)):
-            best, sentence = again, _DESCRIPTION.format(", ".join(labels), ratio)
+            lacking, without = again.after.held_out.lacking, evaluated.before.held_out.lacking
+            best, sentence = again, description_sentence(labels, ratio, lacking, without)
     return None if best is None else (best, sentence)
+
+
+def description_sentence(
+    labels: Sequence[str], ratio: float, lacking: float | None, without: float | None
+) -> str:
+    """Say what a description is good for.
+
+    Args:
+        labels: Labels of its effects.
+        ratio: Error on the held-out runs with them, relative to that without.
+        lacking: Force that the machine with them lacks, relative to that of the drives; None if it is not known.
+        without: Force that the refitted machine lacks.
+    """
+    sentence = _DESCRIPTION.format(", ".join(labels), ratio)
+    if lacking is None or without is None or not forces_contradict(lacking, without):
+        return sentence
+    return sentence + _ONLY_COMPLETE_RUNS.format(100.0 * lacking, 100.0 * without)
 
 
 def descriptions(

@@ -22,7 +22,7 @@ from hframe_gym.identification.fit.plain_fit import (
     plain_fit,
 )
 from hframe_gym.identification.predict.prediction import SIMULATION
-from hframe_gym.identification.validate.simpler_machines import descriptions
+from hframe_gym.identification.validate.simpler_machines import description_sentence, descriptions
 from hframe_gym.machine import BUILTIN_MACHINES, Machine, Sensor
 from hframe_gym.recordings import Recording
 
@@ -176,6 +176,19 @@ def test_what_is_left_is_described_in_simulation_without_naming_a_cause() -> Non
     assert labels == ("quadratic_drag@x",)
     assert prediction_cost(fitted.machine, equally_weighted(data), 0.0) < 0.01 * before
     assert not list(descriptions(plain.simulated, data, SelectionCriteria(), print, Budget(0.0)))
+
+
+@pytest.mark.parametrize(
+    ("lacking", "without", "only_complete_runs"),
+    [(0.80, 0.06, True), (0.03, 0.06, False), (None, 0.06, False), (0.80, None, False)],
+)
+def test_a_description_that_misses_more_force_is_not_recommended_for_control(
+    lacking: float | None, without: float | None, only_complete_runs: bool
+) -> None:
+    sentence = description_sentence(["interpolation_error@x_m"], 0.317, lacking, without)
+    assert "describes the remaining error by interpolation_error@x_m. They are no causes" in sentence
+    assert ("lacks 80 % of the drives' force, without them 6 %" in sentence) == only_complete_runs
+    assert ("before.json" in sentence) == only_complete_runs
 
 
 def test_a_description_stands_where_the_voltages_change_between_rows() -> None:
