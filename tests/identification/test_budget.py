@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from hframe_gym.effects import EFFECTS
 from hframe_gym.errors import InputError
-from hframe_gym.identification import default_free_parameters, fit, identify
+from hframe_gym.identification import Dataset, SelectionCriteria, default_free_parameters, fit, identify
 from hframe_gym.identification.budget import (
     COMPARISON_PART,
     DEFAULT_SECONDS,
@@ -19,6 +20,8 @@ from hframe_gym.identification.budget import (
     spender,
     stage_ends,
 )
+from hframe_gym.identification.fit.estimation import Fit
+from hframe_gym.identification.search import search_effects
 from hframe_gym.machine import BUILTIN_MACHINES
 from tests.identification.single_axis import AXIS, axis_runs, limited_runs
 
@@ -193,6 +196,35 @@ def test_what_there_is_no_time_to_test_is_not_named() -> None:
     assert result.effects == ()
     (entry,) = (entry for entry in result.considered if entry.effect.label == "current_limit@motor")
     assert entry.reason == "was not tested before the budget ended"
+
+
+def test_the_judgment_of_a_search_that_ended_early_is_part_of_its_tests(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The effect that was found leaves an error, and the fits in simulation that judge it take too long."""
+    dragged = AXIS.with_effects(
+        EFFECTS["current_limit"].at("motor", I=5.0), EFFECTS["quadratic_drag"].at("x", c=60.0)
+    )
+    data = axis_runs(dragged, rows=1500, volts=9.0)
+    seconds = [0.0]
+
+    def slow(fitted: Fit, data: Dataset) -> Fit:
+        seconds[0] = 1.0
+        spend()
+        return fitted
+
+    def progress(doing: str, spent: float, budget: float) -> None:
+        if doing == "comparing rivals":
+            seconds[0] = stage_ends(AXIS).search
+
+    monkeypatch.setattr(search_effects, "refined_in_simulation", slow)
+    budget = Budget(1.0, clock=lambda: seconds[0], progress=progress)
+    outcome = search_effects.search_effects(
+        AXIS, data, SelectionCriteria(max_effects=1), lambda line: None, budget=budget
+    )
+    assert outcome.selected == ()
+    assert outcome.after is outcome.before
+    assert "was not tested before the budget ended" in [entry.reason for entry in outcome.considered]
 
 
 def test_each_iteration_of_a_fit_asks_the_budget() -> None:

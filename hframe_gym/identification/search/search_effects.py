@@ -331,7 +331,10 @@ class _Search:
         return self._partial(after, effects, found.considered)
 
     def finished_early(self, tests: Budget) -> SearchOutcome:
-        """Return the outcome of what was selected when the budget ended, after the same tests beside each other."""
+        """Return the outcome of what was selected when the budget ended, after the same tests beside each other.
+
+        The tests include the fits in simulation by which effects that leave an error are judged.
+        """
         search = self._searches[-1] if self._searches else None
         after, effects = (search and search.reached) or (self.before, ())
         untested: tuple[ConsideredEffect, ...] = ()
@@ -341,12 +344,19 @@ class _Search:
             try:
                 with tests.limiting():
                     found, confirmed = search.prune(polish(after, search.data), effects)
-                after, effects, self._data_after = found, confirmed, search.data
+                    self._data_after = search.data
+                    return self._early(found, confirmed, tuple(search.considered.values()))
             except BudgetEndedError:
                 others = tuple(s for s in effects if s.effect.label not in search.considered)
                 untested = self._removed(after, others, "was not tested before the budget ended")
-                after, effects = self.before, ()
+                self._data_after = self._data
         rejected = (*untested, *(search.considered.values() if search else ()))
+        return self._early(self.before, (), rejected)
+
+    def _early(
+        self, after: Fit, effects: tuple[SelectedEffect, ...], rejected: tuple[ConsideredEffect, ...]
+    ) -> SearchOutcome:
+        """Return the outcome of tested effects when no time is left for others or for tables."""
         decided = self._decided(after, effects, rejected) or self._partial(after, effects, rejected)
         return decided._replace(contradiction=self.suspect)
 
