@@ -236,7 +236,7 @@ def description_sentence(
         labels: Labels of its effects.
         ratio: Error on the held-out runs with them, relative to that without.
         lacking: Force that the machine with them lacks, relative to that of the drives; None if it is not known.
-        without: Force that the refitted machine lacks.
+        without: Force that the refitted machine lacks, relative to that of the drives; None if it is not known.
     """
     sentence = _DESCRIPTION.format(", ".join(labels), ratio)
     if lacking is None or without is None or not forces_contradict(lacking, without):
