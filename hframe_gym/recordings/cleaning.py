@@ -29,7 +29,8 @@ _NOISY = 0.5  # changes of one step per repetition; noise makes two, a sensor th
 # Ratio of the 90th to the 10th percentile: intervals of a held sensor are alike at any speed, and its changes are not.
 _LARGEST_RATIO = 2.0
 _SILENCE = 5.0  # times the usual time between new values, from which on a sensor may have been silent
-# Fraction of the distance at the speeds before and after a silence; a machine that stops covers 1 / _SILENCE at most.
+# Fraction of the distance at the slower of the speeds before and after a silence, since a machine that stops covers
+# 1 / _SILENCE at most; and the reciprocal, of that at the faster one, since a step of the command covers far more.
 _CONTINUED = 0.5
 _CATCH_UP = 3.0  # times the largest step around a silence
 
@@ -202,8 +203,8 @@ def without_silences(recording: Recording) -> Recording:
 
     - their time is at least five times as long as usual between the new values before and after,
     - the motion has the same direction before, across and after it, and
-    - its step is more than three times as large as each one before and after, as no quantization step is, and at least
-      half of what the slower of the speeds before and after makes of this time.
+    - its step is more than three times as large as each one before and after, as no quantization step is, at least half
+      of what the slower of the speeds before and after makes of this time, and at most twice what the faster one makes.
 
     Args:
         recording: Run without outliers: a connection that returns may send its late values all at once.
@@ -238,7 +239,7 @@ def _goes_on(steps: Array, spans: Array, i: int) -> bool:
     usual = max(float(np.median(spans[side])) for side in sides)
     largest = max(float(np.abs(steps[side]).max()) for side in sides)
     distances = [float(steps[side].sum() / spans[side].sum() * spans[i] / steps[i]) for side in sides]
-    caught_up = 0.0 < _CONTINUED * min(distances) <= 1.0
+    caught_up = 0.0 < _CONTINUED * min(distances) <= 1.0 and max(distances) >= _CONTINUED
     return bool(caught_up and spans[i] >= _SILENCE * usual and abs(steps[i]) > _CATCH_UP * largest)
 
 

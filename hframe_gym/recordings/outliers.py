@@ -128,7 +128,8 @@ def _isolated_segments(time_s: Array, values: Array, length: int, floor: float) 
 def _begins_or_ends_move(values: Array, first: int, length: int, floor: float) -> bool:
     """Return whether samples lead from one neighbor to the other where a sensor rests before or after them.
 
-    In a slow log, a move from rest to rest has a few samples.
+    In a slow log, a move from rest to rest has a few samples. Where the sensor rests before and after them, at two
+    places, they may also turn back in between, as a drive that overshoots or sticks does.
 
     Args:
         values: Measurements, shape (n,).
@@ -136,11 +137,17 @@ def _begins_or_ends_move(values: Array, first: int, length: int, floor: float) -
         length: Number of samples of the segment.
         floor: Change below which a sensor rests, in the unit of the values.
     """
+    before, after = (
+        values[max(first - _NEIGHBORS, 0) : first],
+        values[first + length : first + length + _NEIGHBORS],
+    )
+    rests = [len(side) > 1 and float(np.median(np.abs(np.diff(side)))) <= floor for side in (before, after)]
     steps = np.diff(values[first - 1 : first + length + 1])
-    if not (np.all(steps > 0.0) or np.all(steps < 0.0)):
-        return False
-    sides = values[max(first - _NEIGHBORS, 0) : first], values[first + length : first + length + _NEIGHBORS]
-    return any(len(side) > 1 and float(np.median(np.abs(np.diff(side)))) <= floor for side in sides)
+    if np.all(steps > 0.0) or np.all(steps < 0.0):
+        return any(rests)
+    low, high = sorted((float(np.median(before)), float(np.median(after))))
+    segment = values[first : first + length]
+    return all(rests) and low < float(segment.min()) and float(segment.max()) < high
 
 
 def _speed_change(time_s: Array, values: Array, first: int, length: int) -> float:

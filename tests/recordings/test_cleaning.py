@@ -123,6 +123,16 @@ def test_values_that_are_repeated_while_a_connection_is_lost_are_not_measured() 
     assert np.flatnonzero(found).tolist() == list(range(204, 280, 3))
 
 
+def test_a_rest_before_a_step_of_the_command_is_not_silent() -> None:
+    """A cylinder creeps by single quantization steps, rests, and is commanded to the other end within one row."""
+    time = 0.1 * np.arange(60)
+    creep = np.where(np.arange(60) < 20, 1e-3 * np.arange(60), 0.02)
+    settling = 0.25 + 0.03 * (1.0 - np.exp(-(np.arange(60) - 30) / 5.0))
+    x = np.where(np.arange(60) < 30, creep, settling)
+    run = Recording("run", time, np.ones((60, 1)), x[:, None])
+    assert without_silences(run) is run
+
+
 @pytest.mark.parametrize("quantum", [1e-6, 1e-2])
 def test_a_machine_that_stops_and_goes_on_is_not_silent(quantum: float) -> None:
     time = np.arange(400) * 5e-3

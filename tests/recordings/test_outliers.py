@@ -76,6 +76,23 @@ def test_the_few_samples_of_a_move_in_a_slow_log_are_no_outliers() -> None:
     assert np.flatnonzero(outlier_mask(log, machine)).tolist() == [108]
 
 
+@pytest.mark.parametrize(
+    ("samples", "outliers"),
+    [
+        ([0.28, 0.16], []),  # turns back between both rests
+        ([0.20, 0.36, 0.30], []),
+        ([0.28, 0.60], [201]),  # leaves the range of the move
+    ],
+)
+def test_a_move_that_turns_back_between_two_rests_has_no_outliers(
+    samples: list[float], outliers: list[int]
+) -> None:
+    """A cylinder at rest, logged at 10 Hz, bounces on its way from 0.1 to 0.4 rad."""
+    angle = np.concatenate([np.full(200, 0.1), samples, np.full(200, 0.4)])
+    log = Recording("log", 0.1 * np.arange(len(angle)), np.zeros((len(angle), 1)), angle[:, None])
+    assert np.flatnonzero(outlier_mask(log, BUILTIN_MACHINES["servo"]())).tolist() == outliers
+
+
 def test_outliers_are_found_between_empty_cells(run: Recording, hframe: Machine) -> None:
     x = np.where(np.arange(len(run.time_s)) % 5 == 2, run.outputs[:, X], np.nan)
     assert not outlier_mask(with_x(run, x), hframe).any()
