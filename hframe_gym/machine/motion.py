@@ -76,7 +76,7 @@ def _without(uncertainty: Uncertainty | None, labels: Collection[str]) -> Uncert
     )
 
 
-def rest_state(machine: Machine, position: ArrayLike | None = None) -> Array:
+def rest_state(machine: Machine, position: ArrayLike | None = None, *, leading: int | None = None) -> Array:
     """Return the state of a machine at rest, with unstretched belts, for given positions of the carriages.
 
     The pulley angles follow from the condition that no belt is stretched. If it cannot be met, the sum of the squared
@@ -85,15 +85,17 @@ def rest_state(machine: Machine, position: ArrayLike | None = None) -> Array:
     Args:
         position: Positions of the linear coordinates in the machine's order, m, shape (linear coordinates,); a single
             value applies to all of them. Default: zeros.
+        leading: Number of linear coordinates, the first ones, to which `position` refers; the others, which effects
+            added, follow like pulleys. Default: all.
 
     Returns:
         Positions of all coordinates, m or rad, then velocities, which are zero, shape (2 * coordinates,).
 
     Raises:
-        ValueError: If there are several positions, but not one per linear coordinate.
+        ValueError: If there are several positions, but not one per leading linear coordinate.
     """
     linear = [i for i, c in enumerate(machine.coordinates) if c.kind == "linear"]
-    q = _unstretched(machine, linear, 0.0 if position is None else position)
+    q = _unstretched(machine, linear[:leading], 0.0 if position is None else position)
     return np.concatenate([q, np.zeros(len(q))])
 
 
@@ -123,11 +125,13 @@ def commanded_state(machine: Machine, commands: ArrayLike) -> Array:
 
 
 def _unstretched(machine: Machine, leaders: Sequence[int], position: ArrayLike) -> Array:
-    """Return the positions (coordinates,) in which the pulleys follow the leading coordinates without stretch."""
+    """Return the positions (coordinates,) in which the others follow the leading coordinates without stretch."""
     q = np.zeros(len(machine.coordinates))
     q[leaders] = np.asarray(position, float)
-    pulleys = [machine.coordinate_names.index(name) for name in pulley_names(machine)]
-    followers = [i for i in pulleys if i not in leaders]
+    held = machine.spring_loaded
+    followers = [
+        i for i, name in enumerate(machine.coordinate_names) if i not in leaders and name not in held
+    ]
     if followers and machine.belts:
         # Zero extension of every belt: G[:, followers] @ angles = -G[:, leaders] @ positions.
         G = machine.belt_matrix

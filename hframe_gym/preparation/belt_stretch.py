@@ -67,7 +67,7 @@ def static_equilibrium(machine: Machine, positions: Array) -> Array:
     linear, pulleys = linear_coordinates(machine), np.isin(names, pulley_names(machine))
     carriages = positions[..., : len(names)][..., linear[: positions.shape[-1]]]
     flat = carriages.reshape(math.prod(carriages.shape[:-1]), carriages.shape[-1])  # (runs, carriages)
-    at_rest = np.array([rest_state(machine, carriage)[: len(names)] for carriage in flat])
+    at_rest = np.array([rest_state(machine, q, leading=len(q))[: len(names)] for q in flat])
     if any(e.definition.force for e in machine.effects):
         forces = _forces_at_rest(machine, at_rest)[:, linear]  # N, (runs, carriages)
         friction = np.array([c.coulomb for c in machine.coordinates])[linear]

@@ -19,7 +19,7 @@ from hframe_gym.identification import (
     prepare,
 )
 from hframe_gym.identification.fit.channel_errors import channel_errors
-from hframe_gym.machine import Machine, rest_state
+from hframe_gym.machine import BUILTIN_MACHINES, Belt, Machine, rest_state
 from hframe_gym.preparation.belt_stretch import static_equilibrium
 from hframe_gym.preparation.initial_state import (
     encoder_zero_errors,
@@ -68,6 +68,18 @@ def test_equilibrium_of_a_machine_without_carriages() -> None:
     machine = load_machine(REPOSITORY / "benchmarks" / "machines" / "ced.json")
     np.testing.assert_array_equal(static_equilibrium(machine, np.zeros((3, 2)))[:, 0], 0.0)
     assert static_equilibrium(machine, np.zeros(2)).shape == (2,)
+
+
+def test_a_carriage_that_an_effect_adds_rests_beside_its_own() -> None:
+    """The teeth behind a gap split the driven one of two carriages on a spring."""
+    axis = BUILTIN_MACHINES["axis"]()
+    second = dataclasses.replace(axis.coordinate("x"), name="y")
+    pair = axis.with_components(second, Belt("spring", 150.0, 1.0, {"x": -1.0, "y": 1.0}))
+    gap = EFFECTS["gear_backlash"].at("motor", d=1e-4, J=0.1, F=0.1, B=0.1, K=2e4, Z=1.0)
+    machine = pair.with_effects(gap)
+    equilibrium = static_equilibrium(machine, np.array([[0.1, 0.1], [-0.2, -0.2]]))
+    np.testing.assert_allclose(equilibrium, [[0.1] * 3, [-0.2] * 3], atol=1e-12)
+    assert max(abs(machine.belt_matrix @ equilibrium[0])) < 1e-12
 
 
 def initial_at(position: np.ndarray, encoders: np.ndarray, known: bool) -> InitialState:
