@@ -178,6 +178,14 @@ class Machine:
         """Column of the inputs that commands the position of a coordinate, by the coordinate's name."""
         return {d.coordinate: k for k, d in enumerate(self.drives) if d.command == "position"}
 
+    @property
+    def commands_in_words(self) -> str:
+        """What the drives are commanded by, as a plural: "voltages", "currents", "torques", or "set points"."""
+        quantities = {drive.command for drive in self.drives}
+        if quantities and quantities <= {"position", "speed"}:
+            return "set points"
+        return f"{quantities.pop()}s" if len(quantities) == 1 else "commands"
+
     @cached_property
     def position_sensors(self) -> NDArray[np.bool_]:
         """Whether each sensor measures positions, shape (sensors,)."""

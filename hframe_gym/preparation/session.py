@@ -23,7 +23,7 @@ from .saturation import Range
 from .sensor_noise import independent_values, sensor_noise, sensor_quantum
 from .sensor_zeros import free_zeros, has_zero
 from .session_zeros import common_encoder_zeros
-from .usable import usable_run, without_saturated, without_unknown_voltage
+from .usable import from_first_measurement, usable_run, without_saturated, without_unknown_voltage
 
 _TURNED = (
     "A positive command moves {} against the direction in which its sensors count: with positive inertia and friction, "
@@ -37,7 +37,7 @@ class Session(NamedTuple):
 
     Attributes:
         machine: Machine as declared, but with the directions of the drives that the runs show.
-        recordings: The runs as logged.
+        recordings: The runs as logged, from their first measurement on if they do not begin at rest.
         usable: The same without measurements that are not usable, but with those at the end of a sensor's range.
         data: The runs prepared for a fit, without these.
         ranges: Ranges of the sensors that saturate, m or rad, by channel.
@@ -66,6 +66,12 @@ def prepare_session(
         criteria: Thresholds by which a sensor at the end of its range is recognized.
         log: Called with a line of text.
     """
+    begun = [from_first_measurement(recording, machine) for recording in recordings]
+    for before, after in zip(recordings, begun, strict=True):
+        if after is not before:
+            count = len(before.time_s) - len(after.time_s)
+            log(f"{before.name}: begins with its first measurement; rows not used: {count}")
+    recordings = begun
     session = _prepared(recordings, machine, criteria, log)
     turned = turned_coordinates(machine, session.data.runs)
     if not turned:

@@ -26,6 +26,7 @@ from ..recordings import (
     wraps_of,
 )
 from .criteria import SaturationCriteria
+from .dataset import MIN_ROWS
 from .initial_rest import InitialRest, count_resting_rows, initial_rest, without_moving_start
 from .input_noise import without_input_noise
 from .regular_clock import with_regular_clock
@@ -84,6 +85,27 @@ def usable_run(
                 )
                 log(f"{recording.name}: {what} not used: {found}")
     return UsableRun(measured, rest, usable)
+
+
+def from_first_measurement(recording: Recording, machine: Machine) -> Recording:
+    """Copy a run without the rows before its first measurement, if the drives may have moved the machine in them.
+
+    Where a run begins at rest, it does not matter when the sensors begin to measure. Otherwise no measurement tells the
+    position of the first row, but the run can be simulated from the first row with one, like one that was cut out of a
+    longer log.
+
+    Returns:
+        Copy; the same object if something is measured at rest, if nothing is measured at all, or if too few rows to fit
+        would remain.
+    """
+    measured = np.flatnonzero(np.isfinite(recording.outputs).any(axis=1))
+    first = int(measured[0]) if len(measured) else 0
+    if not 0 < first <= len(recording.time_s) - MIN_ROWS:
+        return recording
+    if first < count_resting_rows(recording, machine):
+        return recording
+    series = {name: getattr(recording, name)[first:] for name in ("time_s", "inputs", "outputs")}
+    return dataclasses.replace(recording, **series)
 
 
 def without_unknown_voltage(recording: Recording, machine: Machine) -> Recording:

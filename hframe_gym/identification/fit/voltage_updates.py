@@ -45,16 +45,17 @@ class VoltageUpdates(NamedTuple):
     held: float
     fitted: float
 
-    def describe(self, period: float) -> str:
+    def describe(self, commands: str, period: float) -> str:
         """Describe voltages that change between rows, for the user: a sentence without a point.
 
         Args:
+            commands: What they are, as `Machine.commands_in_words` says.
             period: Sampling period of the log, s.
         """
         return (
-            f"the voltages change between the rows, about {self.per_row} times from one row to the next (every "
+            f"the {commands} change between the rows, about {self.per_row} times from one row to the next (every "
             f"{1e3 * period / self.per_row:.2g} ms; chi-squared per sample {self.fitted:.3g} instead of "
-            f"{self.held:.3g} with held voltages)"
+            f"{self.held:.3g} with held {commands})"
         )
 
 

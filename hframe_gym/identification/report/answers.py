@@ -33,8 +33,8 @@ _CLEARLY_BETTER = 0.9
 # A simulation whose error is beyond both has drifted: times the noise, and percent of the motion before or after.
 _MAX_NOISE_RATIO, _MAX_PERCENT_OF_MOTION = 50.0, 50.0
 _BY_INSTRUMENTS = (
-    "The standard deviations come from a fit by instruments (smoothed voltages and measurements). The parameters are "
-    "those of this fit, or lie between them and those of a fit to the residual that the voltages' statistics make "
+    "The standard deviations come from a fit by instruments (smoothed {0} and measurements). The parameters are "
+    "those of this fit, or lie between them and those of a fit to the residual that the statistics of the {0} make "
     "white, whichever simulate runs to which they were not fitted best."
 )
 _CHANGED_STDS = 3.0  # Standard deviations beyond which a parameter differs from its declared value.
@@ -308,14 +308,17 @@ def unknown_voltages(report: Mapping[str, Any]) -> list[str]:
         sizes.append(f"{number(factor * error)} {unit} at {channel}")
     period = f"{1e3 * unknown['period_s']:.3g} ms"
     by_instruments = unknown.get("fitted_by") == "instruments"
+    commands = unknown.get("commands", "voltages")
+    advice = f"log every row of the controller (every {period})"
+    if commands != "set points":
+        advice += ", or describe the drives by their set point and log that"
     return [
-        f"The controller changes the voltages about {unknown['changes_per_row']} times between two rows of this log "
-        f"(every {period}), and the log does not contain these voltages.",
+        f"The controller changes the {commands} about {unknown['changes_per_row']} times between two rows of this log "
+        f"(every {period}), and the log does not contain these {commands}.",
         f"A simulation of the held-out runs therefore errs by {' and '.join(sizes)} (rms), whatever the machine: what "
         "changes the motion by less cannot be found.",
-        *([_BY_INSTRUMENTS] if by_instruments else []),
-        f"To find more, log every row of the controller (every {period}), or describe the drives by their set point "
-        "and log that.",
+        *([_BY_INSTRUMENTS.format(commands)] if by_instruments else []),
+        f"To find more, {advice}.",
     ]
 
 

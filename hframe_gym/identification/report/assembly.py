@@ -92,7 +92,11 @@ def _unknown_voltages(machine: Machine, held_out: Dataset, fitted: Fit) -> Unkno
     errors = simulation_error(machine, held_out)
     by_channel = {s.channel: float(e) for s, e in zip(machine.sensors, errors, strict=True)}
     return UnknownVoltages(
-        held_out.updates, held_out.period / held_out.updates, by_channel, fitted.covariance is not None
+        held_out.updates,
+        held_out.period / held_out.updates,
+        by_channel,
+        fitted.covariance is not None,
+        machine.commands_in_words,
     )
 
 

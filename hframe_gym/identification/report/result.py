@@ -144,16 +144,19 @@ class UnknownVoltages:
             channel's unit.
         by_instruments: Whether instruments gave the parameters of the delivered machine (`fit.slow_logs`); otherwise
             the residual that the statistics of the voltages make white.
+        commands: What changes between the rows, as `Machine.commands_in_words` says.
     """
 
     per_row: int
     period: float
     errors: Mapping[str, float]
     by_instruments: bool
+    commands: str = "voltages"
 
     def as_json(self) -> dict[str, Any]:
         """Return the entry of report.json."""
         return {
+            "commands": self.commands,
             "changes_per_row": self.per_row,
             "period_s": self.period,
             "errors": dict(self.errors),
@@ -448,7 +451,8 @@ def reason_of_remainder(report: Mapping[str, Any]) -> str:
     if tables:
         return ". A table has straight pieces and names no cause"
     if report.get("unknown_voltages"):
-        return ", of which the unknown voltages between the rows may cause a part or all"
+        commands = report["unknown_voltages"].get("commands", "voltages")
+        return f", of which the unknown {commands} between the rows may cause a part or all"
     return ", whose cause was not found"
 
 

@@ -50,8 +50,7 @@ _HINT = (
 
 _BETWEEN_ROWS = (
     "In this log, {}. They are interpolated; what the controller did between the rows beyond that adds up to an error "
-    "of every simulation. Log at the rate of the controller, or log the mean voltage between rows. `hframe simulate` "
-    "interpolates them with --updates {}."
+    "of every simulation. Log at the rate of the controller{}. `hframe simulate` interpolates them with --updates {}."
 )
 
 
@@ -179,10 +178,13 @@ def _search_and_check(
     while True:
         fitted, validation, messages = data, held_out, (*unused, *excluded)
         if updates.per_row > 1:
-            changes = updates.describe(data.period)
+            commands = machine.commands_in_words
+            changes = updates.describe(commands, data.period)
             log(f"{changes}; they are interpolated")
             fitted, validation = _interpolated(known, updates.per_row, data, held_out, log)
-            messages = (*messages, _BETWEEN_ROWS.format(changes, updates.per_row))
+            # The mean of a set point does not tell what the drive made of it.
+            means = "" if machine.drive_laws else f", or log the mean {commands} between rows"
+            messages = (*messages, _BETWEEN_ROWS.format(changes, means, updates.per_row))
         fitted = dataclasses.replace(fitted, updates_rejected=rejected.copy())
         # The errors of voltages between all rows of a long log would need too much memory.
         complete = all_rows if in_part and updates.per_row == 1 else None

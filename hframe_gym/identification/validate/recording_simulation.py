@@ -28,7 +28,13 @@ from ...preparation.sensor_zeros import (
     sensor_zero_error,
 )
 from ...preparation.session import prepare
-from ...preparation.usable import rest_and_noise, usable_run, without_saturated, without_unknown_voltage
+from ...preparation.usable import (
+    from_first_measurement,
+    rest_and_noise,
+    usable_run,
+    without_saturated,
+    without_unknown_voltage,
+)
 from ...recordings import Recording, fill_gaps
 from ..fit.lost_voltages import estimate_lost_voltages
 from ..fit.start_estimation import most_probable_start
@@ -79,13 +85,15 @@ def simulate_recording(
 
     Returns:
         Trajectory at the n times of the recording, errors (measured minus simulated), m or rad, shape (n, sensors), NaN
-        where not measured, and initial state.
+        where not measured, and initial state. A run that does not begin at rest is simulated from its first measurement
+        on; the rows before are NaN.
 
     Raises:
         NotFiniteError: If the motion diverges.
     """
     criteria = criteria or SelectionCriteria()
-    cleaned, recorded = _cleaned(recording, machine, criteria, updates)
+    begun = from_first_measurement(recording, machine)
+    cleaned, recorded = _cleaned(begun, machine, criteria, updates)
     initial = _initial_state(machine, cleaned, criteria, updates)
     motion = simulate(
         machine,
@@ -95,14 +103,21 @@ def simulate_recording(
         longest_step=resolved_step(machine, POLISH_STEP),
     )
     rows = np.flatnonzero(recorded) * updates
+    before = len(recording.time_s) - len(begun.time_s)
+
+    def of_recording(values: Array) -> Array:
+        """Return values at the simulated rows, NaN before them."""
+        return np.pad(values, ((before, 0), (0, 0)), constant_values=np.nan)
+
     trajectory = dataclasses.replace(
         motion,
         time_s=recording.time_s,
-        positions=motion.positions[rows],
-        velocities=motion.velocities[rows],
-        outputs=motion.outputs[rows],
+        positions=of_recording(motion.positions[rows]),
+        velocities=of_recording(motion.velocities[rows]),
+        outputs=of_recording(motion.outputs[rows]),
     )
-    return SimulatedRecording(trajectory, cleaned.outputs[recorded] - trajectory.outputs, initial)
+    error = of_recording(cleaned.outputs[recorded]) - trajectory.outputs
+    return SimulatedRecording(trajectory, error, initial)
 
 
 def initial_state_of_recording(
@@ -130,7 +145,8 @@ def initial_state_of_recording(
         from the measurements at rest. `warnings` lists what could not be determined.
     """
     criteria = criteria or SelectionCriteria()
-    return _initial_state(machine, _cleaned(recording, machine, criteria)[0], criteria)
+    begun = from_first_measurement(recording, machine)
+    return _initial_state(machine, _cleaned(begun, machine, criteria)[0], criteria)
 
 
 def _cleaned(

@@ -58,7 +58,7 @@ def test_the_motion_shows_how_often_the_voltages_change() -> None:
     updates = found(slow_log(4))
     assert updates.per_row in (3, 4, 5)
     assert updates.fitted < 0.5 * updates.held
-    assert "change between the rows, about" in updates.describe(4e-3)
+    assert "change between the rows, about" in updates.describe("voltages", 4e-3)
 
 
 def test_interpolated_voltages_give_the_true_mass() -> None:

@@ -766,6 +766,12 @@ def test_a_slow_log_is_named_first() -> None:
     assert "errs by 30 µm at x_m and 2 mrad at phi1_rad (rms)" in sentence
     assert "log every row of the controller" in sentence
     assert "two rows" not in verdict_sentence(report | {"unknown_voltages": None}, ["x_m"])
+    assert "describe the drives by their set point" in sentence
+    of_set_points = verdict_sentence(
+        report | {"unknown_voltages": unknown | {"commands": "set points"}}, ["x_m"]
+    )
+    assert of_set_points.startswith("The controller changes the set points about 5 times")
+    assert "log every row of the controller (every 1 ms)." in of_set_points
     unknown["fitted_by"] = "instruments"
     assert "fit by instruments" not in sentence
     assert "fit by instruments" in verdict_sentence(report, ["x_m"])

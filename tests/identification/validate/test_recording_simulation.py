@@ -26,7 +26,7 @@ from hframe_gym.identification.validate.machine_errors import (
     evaluate_held_out,
     with_encoder_zeros,
 )
-from hframe_gym.machine import Machine, rest_state
+from hframe_gym.machine import BUILTIN_MACHINES, Machine, rest_state
 from hframe_gym.preparation.dataset import with_known_positions
 from hframe_gym.preparation.session import prepare_session
 from hframe_gym.preparation.usable import rest_and_noise
@@ -235,6 +235,32 @@ def test_runs_that_nothing_locates_are_left_out(hframe: Machine) -> None:
     data, warnings = with_known_positions(prepare([lost], hframe))
     assert [run.name for run in data.runs] == ["run_0"]
     assert warnings == ()
+
+
+@pytest.mark.parametrize("unmeasured", [0, 1, 40])
+def test_a_servo_log_is_used_from_its_first_measurement_on(unmeasured: int) -> None:
+    """A servo is driven from the first row on, in which many logs have no measurement yet."""
+    servo = BUILTIN_MACHINES["servo"]()
+    time_s = np.arange(400) * 2e-3
+    command = 0.4 * np.cos(6.0 * time_s)[:, None]
+    outputs = simulate(servo, time_s, command, [0.4, 0.0, 0.0]).outputs.copy()
+    outputs[:unmeasured] = np.nan
+    run = Recording("run", time_s, command, outputs)
+    session = prepare_session([run], servo, SelectionCriteria(), lambda line: None)
+    (prepared,) = session.data.runs
+    assert prepared.initial.position_known
+    assert len(prepared.time_s) == 400 - unmeasured
+    simulated = simulate_recording(servo, run)
+    assert simulated.error.shape == (400, 1)
+    assert np.isnan(simulated.outputs[:unmeasured]).all()
+    # A wrong start would be an error of its lag, 50 mrad, at first; an estimated speed costs some of the noise, 1 mrad.
+    assert np.abs(simulated.error[unmeasured:]).max() < 5e-3
+
+
+def test_a_run_without_measurements_is_simulated_from_its_first_row() -> None:
+    servo = BUILTIN_MACHINES["servo"]()
+    run = Recording("run", np.arange(100) * 2e-3, np.full((100, 1), 0.3), np.full((100, 1), np.nan))
+    assert np.isfinite(simulate_recording(servo, run).outputs).all()
 
 
 def test_a_machine_whose_simulation_diverges_on_a_held_out_run_has_no_error(
