@@ -101,7 +101,7 @@ def identify(
     found = found._replace(messages=(*copies, *session.statements, *statements, *found.messages))
 
     # Validate: held-out runs judge verdict and names; nothing worse than a plain fit or the file is delivered.
-    test = HeldOutTest(session, found.held_out, criteria)
+    test = HeldOutTest(session, found.held_out, criteria, log)
     evaluated = judged(test.evaluate(found.outcome), found.differing, log)
     delivered = no_worse(evaluated, found.plain, log, budget)
     outcome = delivered.evaluated.outcome

@@ -28,7 +28,7 @@ from ..fit.model_error import (
 from ..judge import effect as judge
 from ..judge.chance import LongRunVariance
 from ..judge.criteria import SelectionCriteria
-from ..judge.effect import Addition, Chance, EffectEvidence, Forces, ParameterValue
+from ..judge.effect import Addition, Chance, EffectEvidence, Forces, ParameterValue, Size
 from ..predict.free_parameters import prior_precision
 from ..predict.linearization import ResidualModel, RunLinearization
 from ..predict.prediction import block_size, map_runs
@@ -264,6 +264,40 @@ def parameter_values(label: str, fitted: Fit) -> tuple[ParameterValue, ...]:
             ParameterValue(p.name, unit, effect.parameters[p.name], limits, covered, p.role == "rate")
         )
     return tuple(values)
+
+
+def sizes(effect: AppliedEffect, machine: Machine) -> tuple[Size, ...]:
+    """Return the parameters without which an effect of a fitted machine is absent, with their standard deviations.
+
+    Args:
+        effect: The effect with its fitted parameters.
+        machine: Machine with the covariance of its parameters.
+
+    Returns:
+        The sizes that were fitted; none without a covariance.
+    """
+    uncertainty = machine.uncertainty
+    if uncertainty is None:
+        return ()
+    index = {name: i for i, name in enumerate(uncertainty.names)}
+    scaled: list[str] = []
+    if effect.definition.viscous:
+        # The motion shows the product with the coefficient, which the back-EMF makes uncertain.
+        scaled.append(f"{machine.coordinate_of_site(effect.site, effect.definition.site)}.viscous")
+    found = []
+    for p in effect.definition.parameters:
+        if not p.amplitude or f"{effect.label}.{p.name}" not in index:
+            continue
+        others = (f"{effect.label}.{other.name}" for other in effect.definition.parameters if other is not p)
+        names = [*others, *scaled]
+        rows = [index[f"{effect.label}.{p.name}"], *(index[name] for name in names if name in index)]
+        # The first entry of the inverse of a covariance is the precision beside fixed values of the others.
+        scale = np.maximum(np.sqrt(np.diag(uncertainty.covariance)[rows]), 1e-300)
+        correlation = uncertainty.covariance[np.ix_(rows, rows)] / np.outer(scale, scale)
+        precision = np.linalg.pinv(correlation, hermitian=True)[0, 0]
+        std = float(scale[0] / math.sqrt(precision))
+        found.append(Size(p.name, machine.effect_unit(effect, p.name), effect.parameters[p.name], std))
+    return tuple(found)
 
 
 def _chance(without: Fit, with_effect: Fit, effect: AppliedEffect, data: Dataset) -> Chance:

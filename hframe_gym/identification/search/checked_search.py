@@ -15,7 +15,7 @@ from ...preparation.dataset import Dataset, with_known_positions
 from ...preparation.excerpt import LARGEST_FIT, describe_part, representative_part
 from ..budget import SECOND_SEARCH_PART, Budget, stage_ends
 from ..evidence.held_out import contradicting_held_out_runs, held_out_gain, is_excited, worsens_simulation
-from ..evidence.tried_effects import ConsideredEffect, Log
+from ..evidence.tried_effects import ConsideredEffect, Log, SelectedEffect
 from ..fit.estimation import Fit, fit
 from ..fit.lost_voltages import with_lost_voltages
 from ..fit.plain_fit import PlainFit, better_start, plain_fit
@@ -323,9 +323,9 @@ def without_unconfirmed(outcome: SearchOutcome, validation: Dataset, log: Log) -
         validation: Held-out runs that do not contradict the fitted ones.
         log: Called with a line of text for each effect that is removed.
     """
-    before, after, verdict = outcome.before, outcome.after, outcome.verdict
-    selected, considered, data = outcome.selected, outcome.considered, outcome.data
-    while selected and validation.runs:
+    before, data = outcome.before, outcome.data
+    while outcome.selected and validation.runs:
+        after, selected = outcome.after, outcome.selected
         runs = refine_dataset(validation, after.machine, data)
         shown = {
             s.effect.label: HeldOutEffect(
@@ -344,10 +344,29 @@ def without_unconfirmed(outcome: SearchOutcome, validation: Dataset, log: Log) -
         weakest, reduced = next(((s, fitted) for s, fitted in fits if fitted is not None), (None, None))
         if weakest is None or reduced is None:
             break
-        log(f"  {weakest.effect.label} is removed: it {reason}")
-        entry = ConsideredEffect(weakest.effect, after.machine, reduced.machine, reason)
-        selected = tuple(s for s in selected if s is not weakest)
-        after, considered = reduced if selected else before, (*considered, entry)
-        selected = tuple(s.with_values(after.machine) for s in selected)
-        verdict = verdict_after_removal(verdict, bool(selected), outcome.before_explains)
-    return outcome._replace(verdict=verdict, after=after, selected=selected, considered=considered)
+        outcome = with_removed(outcome, weakest, reduced, reason, log)
+    return outcome
+
+
+def with_removed(
+    outcome: SearchOutcome, removed: SelectedEffect, reduced: Fit, reason: str, log: Log
+) -> SearchOutcome:
+    """Return an outcome without one of its effects, which is listed as considered.
+
+    Args:
+        outcome: Outcome of a search.
+        removed: The effect.
+        reduced: Fit without it.
+        reason: Why it is removed, a clause that follows "it ".
+        log: Called with a line of text.
+    """
+    log(f"  {removed.effect.label} is removed: it {reason}")
+    entry = ConsideredEffect(removed.effect, outcome.after.machine, reduced.machine, reason)
+    selected = tuple(s for s in outcome.selected if s is not removed)
+    after = reduced if selected else outcome.before
+    return outcome._replace(
+        verdict=verdict_after_removal(outcome.verdict, bool(selected), outcome.before_explains),
+        after=after,
+        selected=tuple(s.with_values(after.machine) for s in selected),
+        considered=(*outcome.considered, entry),
+    )

@@ -16,12 +16,14 @@ from ...preparation.dataset import Dataset, PreparedRecording
 from ...preparation.excerpt import representative_part
 from ...preparation.saturation import Range, range_effects
 from ...preparation.session import Session, with_all_measurements
+from ..evidence.significance import sizes
 from ..evidence.tried_effects import ConsideredEffect, Log, SelectedEffect
 from ..fit.channel_errors import errors_by_channel
 from ..fit.covariance import with_uncertainty
-from ..fit.estimation import Fit, prediction_cost
+from ..fit.estimation import prediction_cost
 from ..fit.start_estimation import refine_dataset
 from ..judge.criteria import SelectionCriteria
+from ..judge.effect import uncertain_size
 from ..judge.verdict import (
     JUDGING_BANDWIDTH,
     Evidence,
@@ -33,6 +35,8 @@ from ..predict.prediction import POLISH_STEP, SEARCH_BANDWIDTH, innovation_varia
 from ..predict.start_uncertainty import prediction_residuals
 from ..predict.voltage_errors import simulation_error
 from ..propose.dependences import are_causes, rank_dependences
+from ..propose.trial_fits import without_effect
+from ..search.checked_search import with_removed
 from ..search.search_effects import SearchOutcome
 from .machine_errors import ModelEvaluation, PredictionErrors, evaluate_held_out
 
@@ -45,11 +49,13 @@ class HeldOutTest:
         session: All runs, as logged and as prepared, with the declared machine.
         held_out: Held-out runs, prepared.
         criteria: Thresholds of the identification.
+        log: Called with a line of text for each effect that is removed.
     """
 
     session: Session
     held_out: Dataset
     criteria: SelectionCriteria
+    log: Log = lambda line: None
 
     @cached_property
     def validation(self) -> Dataset:
@@ -71,16 +77,16 @@ class HeldOutTest:
     def evaluate(self, outcome: SearchOutcome) -> Evaluated:
         """Simulate the declared, the refitted and the corrected machine over the held-out runs.
 
+        Effects whose size is not certain in the corrected machine are removed.
+
         Args:
             outcome: Outcome of a search, after the held-out runs have removed effects.
         """
-        refined = refine_dataset(outcome.data, outcome.after.machine)
+        outcome, refined, fitted = _certain(outcome, self.log)
         corrected, selected = _corrected(
-            outcome.after,
+            fitted.replace(name=f"{self.session.machine.name}-identified"),
             outcome.selected,
             self.session.ranges,
-            refined,
-            f"{self.session.machine.name}-identified",
         )
         refitted = outcome.before.machine.replace(name=f"{self.session.machine.name}-refitted")
         declared, before, after = (
@@ -277,11 +283,33 @@ def without_names(outcome: SearchOutcome, reason: str) -> SearchOutcome:
     )
 
 
+def _certain(outcome: SearchOutcome, log: Log) -> tuple[SearchOutcome, Dataset, Machine]:
+    """Return an outcome without effects that may as well be absent, its refined runs, and its machine with covariance.
+
+    The least certain effect is removed first; the others may be certain without it.
+    """
+    while True:
+        data = refine_dataset(outcome.data, outcome.after.machine)
+        machine = with_uncertainty(outcome.after, data)
+        doubts: list[tuple[float, SelectedEffect, str]] = []
+        for s in outcome.selected:
+            found = sizes(s.effect, machine)
+            if reason := uncertain_size(found):
+                doubts.append((max(abs(size.value) / size.std for size in found), s, reason))
+        for _, uncertain, reason in sorted(doubts, key=lambda doubt: doubt[0]):
+            label = uncertain.effect.label
+            reduced = without_effect(outcome.after, label, data, outcome.before.machine)
+            if reduced is not None:  # no other effect requires it
+                outcome = with_removed(outcome, uncertain, reduced, reason, log)
+                break
+        else:
+            return outcome, data, machine
+
+
 def _corrected(
-    after: Fit, selected: tuple[SelectedEffect, ...], ranges: dict[str, Range], data: Dataset, name: str
+    fitted: Machine, selected: tuple[SelectedEffect, ...], ranges: dict[str, Range]
 ) -> tuple[Machine, tuple[SelectedEffect, ...]]:
-    """Return the machine with its uncertainty and one range per saturated sensor, and all its effects."""
-    fitted = with_uncertainty(after, data).replace(name=name)
+    """Return a fitted machine with one range per saturated sensor, and all its effects."""
     limits = range_effects(ranges, [s.effect for s in selected])
     labels = {e.label for e in limits}
     fitted = fitted.replace(effects=tuple(e for e in fitted.effects if e.label not in labels))

@@ -14,6 +14,7 @@ from hframe_gym.identification import Dataset, prepare
 from hframe_gym.identification.evidence.significance import (
     curves_of_one_variable,
     depend_on_same_variable,
+    sizes,
     variance_along,
 )
 from hframe_gym.identification.fit import force_sizes
@@ -21,7 +22,7 @@ from hframe_gym.identification.fit.force_sizes import force_size
 from hframe_gym.identification.fit.model_error import search_step
 from hframe_gym.identification.predict.linearization import RunLinearization
 from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH, predict, prediction_error
-from hframe_gym.machine import AppliedEffect
+from hframe_gym.machine import AppliedEffect, Uncertainty
 from hframe_gym.recordings import Recording
 from tests.identification.scripted_fits import (
     AXIS,
@@ -187,3 +188,29 @@ def test_a_machine_that_diverges_reaches_any_gain_by_chance() -> None:
     run = correlated(0, 200)
     run.residual[-1] = np.inf
     assert variance_along([run], OF_EFFECT, PRECISION, 50, 500).ratio == np.inf
+
+
+def test_the_size_of_an_effect_is_as_certain_as_its_form_permits() -> None:
+    """Runs that are slower than the speed scale tell the product of both only; the product may still be certain."""
+    friction = EFFECTS["stribeck_friction"].at("x", dF=2.0, vs=0.03)
+    names = ("x.mass", "stribeck_friction@x.vs", "stribeck_friction@x.dF")
+    correlation = np.array([[1.0, 0.0, 0.6], [0.0, 1.0, 0.0], [0.6, 0.0, 1.0]])
+    correlation[1, 2] = correlation[2, 1] = 0.79
+    stds = np.array([0.1, 0.05, 5.0])
+    machine = HFRAME.with_effects(friction).replace(
+        uncertainty=Uncertainty(names, correlation * np.outer(stds, stds))
+    )
+    (size,) = sizes(friction, machine)
+    assert (size.name, size.unit, size.value) == ("dF", "N", 2.0)
+    assert size.std == pytest.approx(5.0 * np.sqrt(1.0 - 0.79**2))
+    assert sizes(friction, machine.replace(uncertainty=None)) == ()
+    assert sizes(EFFECTS["current_limit"].at("motor1", I=1.0), machine) == ()
+
+
+def test_an_effect_in_proportion_to_an_uncertain_coefficient_may_be_certain() -> None:
+    """Viscous friction and back-EMF act alike; how much friction differs between the directions is known anyway."""
+    drag = EFFECTS["asymmetric_viscous"].at("phi1", a=0.3)
+    names = ("phi1.viscous", "asymmetric_viscous@phi1.a")
+    covariance = np.array([[1.0, -0.99], [-0.99, 1.0]]) * np.outer([1e-5, 0.4], [1e-5, 0.4])
+    (size,) = sizes(drag, HFRAME.with_effects(drag).replace(uncertainty=Uncertainty(names, covariance)))
+    assert size.std == pytest.approx(0.4 * np.sqrt(1.0 - 0.99**2))

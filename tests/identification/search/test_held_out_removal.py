@@ -25,6 +25,7 @@ from hframe_gym.identification.predict.prediction import SIMULATION
 from hframe_gym.identification.propose.trial_fits import without_effect
 from hframe_gym.identification.search.checked_search import _contradicting_runs, without_unconfirmed
 from hframe_gym.identification.search.search_effects import SearchOutcome
+from hframe_gym.identification.validate.evaluation import _certain
 from hframe_gym.machine import Machine
 from hframe_gym.recordings import Recording
 
@@ -67,6 +68,25 @@ def test_an_effect_that_held_out_runs_deny_is_removed(
     assert removed.after is before
     assert [entry.effect.label for entry in removed.considered] == ["constant_force@x"]
     assert removed.considered[0].reason == "does not reduce the error of the held-out runs"
+
+
+@pytest.mark.parametrize(("hidden", "kept"), [(0.0, False), (0.01, True)])
+def test_an_effect_whose_size_is_not_certain_in_the_end_is_removed(
+    axis: Machine, hidden: float, kept: bool
+) -> None:
+    """A last fit may give a value that no test of the search has seen."""
+    pushed = axis.with_effects(EFFECTS["constant_force"].at("x", size=hidden))
+    data = prepare([recorded(pushed, 0)], axis)
+    before, outcome = outcome_with_force(axis, data, 0.01, True)
+    certain, _, machine = _certain(outcome, lambda line: None)
+    assert machine.uncertainty is not None
+    assert bool(certain.selected) == kept
+    if kept:
+        assert certain is outcome
+    else:
+        assert certain.after is before
+        assert certain.verdict == "no_effect"
+        assert certain.considered[0].reason.startswith("is not certain to exist: the final fit gives size = ")
 
 
 def test_an_effect_that_held_out_runs_confirm_stays(axis: Machine) -> None:
