@@ -15,7 +15,21 @@ from ...arrays import Array
 from ...dynamics import net_forces
 from ...machine import AppliedEffect, Machine
 from ...preparation.dataset import Dataset, PreparedRecording
-from ..predict.prediction import SEARCH_BANDWIDTH, map_runs, observer_gains, predict, prediction_error
+from ..predict.prediction import (
+    SEARCH_BANDWIDTH,
+    map_runs,
+    observer_gains,
+    predict,
+    prediction_error,
+    residuals,
+    whitened,
+)
+from ..predict.start_uncertainty import (
+    effect_state_spreads,
+    predict_with_displaced_starts,
+    probable_amounts,
+    uncertain_starts,
+)
 from .estimation import Fit
 from .model_error import BANDWIDTHS, search_step
 
@@ -140,9 +154,11 @@ def _observed_force(
     # Velocity correction per sample -> acceleration -> force at the belt, per unit of each sensor's innovation.
     force_gains = velocity_gains.T / data.period * mass / machine.travel_per_unit  # (sensors, coordinates)
 
+    remembers = bool(np.any(effect_state_spreads(machine) > 0.0))
+
     def of_run(run: PreparedRecording) -> tuple[Array, Array]:
-        motion = predict(machine, run, bandwidth, period=data.period, longest_step=search_step(bandwidth))
-        innovation = np.nan_to_num(prediction_error(run, data, motion.readings)[0])  # (n, sensors)
+        errors = _errors_from_probable_start if remembers else _errors
+        innovation = np.nan_to_num(errors(machine, run, data, bandwidth))  # (n, sensors)
         return innovation @ force_gains, np.sqrt(
             (np.isfinite(run.outputs) * noise_of(run) ** 2) @ force_gains**2
         )
@@ -150,3 +166,26 @@ def _observed_force(
     correction, noise = (np.concatenate(part) for part in zip(*map_runs(of_run, data), strict=True))
     square = force_size(correction) ** 2 - force_size(noise) ** 2
     return math.sqrt(max(square, 0.0)) if math.isfinite(square) else math.inf
+
+
+def _errors(machine: Machine, run: PreparedRecording, data: Dataset, bandwidth: float) -> Array:
+    """Return measured minus predicted values, m or rad, shape (n, sensors)."""
+    motion = predict(machine, run, bandwidth, period=data.period, longest_step=search_step(bandwidth))
+    return np.asarray(prediction_error(run, data, motion.readings)[0])
+
+
+def _errors_from_probable_start(
+    machine: Machine, run: PreparedRecording, data: Dataset, bandwidth: float
+) -> Array:
+    """Return the same for a machine whose effects remember what was before the run, from the start that a fit assumes.
+
+    Otherwise the heat of a winding at the start, say, would act throughout the run as a force that the model lacks.
+    """
+    start = uncertain_starts(machine, [run])[run.name]
+    motion = predict_with_displaced_starts(
+        machine, run, bandwidth, start, period=data.period, longest_step=search_step(bandwidth)
+    )
+    errors = prediction_error(run, data, motion.readings)
+    residual = whitened(residuals(run, data, motion.readings), run, bandwidth)
+    amounts = probable_amounts(residual[0], residual[1:])
+    return np.asarray(errors[0] + np.tensordot(amounts, errors[1:] - errors[0], axes=1))

@@ -237,6 +237,23 @@ class InitialStateProjection:
         return residual - (residual @ self.directions) * self.weights @ self.directions.T
 
 
+def probable_amounts(residual: Array, displaced: Array) -> Array:
+    """Return by how much of each displacement of the start a run most probably began elsewhere, as a fit assumes.
+
+    Args:
+        residual: Residual of the prediction from the state as it is, in units of the noise, shape (rows,).
+        displaced: Residuals of predictions from `UncertainStart.displaced_states`, shape (displacements, rows).
+
+    Returns:
+        Amounts w that minimize |r + C w|^2 + |w|^2 (`InitialStateProjection`), in standard deviations, shape
+        (displacements,); zero if a prediction diverges.
+    """
+    columns = (displaced - residual).T
+    if not np.all(np.isfinite(columns)):
+        return np.zeros(len(displaced))
+    return -np.linalg.solve(columns.T @ columns + np.eye(len(displaced)), columns.T @ residual)
+
+
 def projected(
     residuals_of_predictions: Array, displacements: int
 ) -> tuple[Array, InitialStateProjection | None]:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset, prepare
 from hframe_gym.identification.evidence.significance import (
@@ -214,3 +215,24 @@ def test_an_effect_in_proportion_to_an_uncertain_coefficient_may_be_certain() ->
     covariance = np.array([[1.0, -0.99], [-0.99, 1.0]]) * np.outer([1e-5, 0.4], [1e-5, 0.4])
     (size,) = sizes(drag, HFRAME.with_effects(drag).replace(uncertainty=Uncertainty(names, covariance)))
     assert size.std == pytest.approx(0.4 * np.sqrt(1.0 - 0.99**2))
+
+
+def test_what_an_effect_remembers_is_no_missing_force() -> None:
+    """A winding that is hot when a run begins reduces all forces of the run; a fit takes this into account too."""
+    heated = AXIS.with_effects(EFFECTS["winding_heat"].at("motor", a=0.01, tau=20.0))
+    generator = np.random.default_rng(5)
+    time_s = np.arange(1500) * 1e-3
+    inputs = np.repeat(generator.uniform(-3.0, 3.0, (15, 1)), 100, axis=0)
+    inputs[:50] = 0.0
+    noise = generator.normal(0.0, 2e-5, (1500, 1))
+    cold, hot = (
+        prepare(
+            [Recording("run", time_s, inputs, simulate(heated, time_s, inputs, start).outputs + noise)], AXIS
+        )
+        for start in ([0.0, 0.0, 0.0], [0.0, 0.0, 40.0])  # heat, A^2
+    )
+    fitted = fit_with(*heated.effects, chi2=1.0, bandwidth=60.0)
+    without = fit_with(chi2=1.0, bandwidth=60.0)
+    lost = force_sizes.residue_force(without, hot)
+    assert force_sizes.residue_force(fitted, cold) < 0.1 * lost
+    assert force_sizes.residue_force(fitted, hot) < 0.1 * lost
