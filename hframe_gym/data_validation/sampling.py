@@ -276,10 +276,13 @@ def check_voltages_between_rows(data: Dataset, machine: Machine) -> list[Finding
     updates = voltage_updates(held, runs, SelectionCriteria())
     if updates.per_row == 1:
         return []
+    commands = machine.commands_in_words
+    # The mean of a set point does not tell what the drive made of it.
+    means = "" if machine.drive_laws else f", or log the mean {commands} between rows"
     message = (
-        f"{updates.describe(data.period)}: identification interpolates them, but what the controller did between the "
-        "rows beyond that adds up to an error of every simulation. Log at the rate of the controller, or log the mean "
-        "voltage between rows"
+        f"{updates.describe(commands, data.period)}: identification interpolates them, but what the controller did "
+        "between the rows beyond that adds up to an error of every simulation. Log at the rate of the "
+        f"controller{means}"
     )
     return [Finding("advice", "", "", message)]
 

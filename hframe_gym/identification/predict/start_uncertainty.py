@@ -251,7 +251,9 @@ def probable_amounts(residual: Array, displaced: Array) -> Array:
     columns = (displaced - residual).T
     if not np.all(np.isfinite(columns)):
         return np.zeros(len(displaced))
-    return -np.linalg.solve(columns.T @ columns + np.eye(len(displaced)), columns.T @ residual)
+    return np.asarray(
+        np.linalg.solve(columns.T @ columns + np.eye(len(displaced)), -columns.T @ residual), np.float64
+    )
 
 
 def projected(
