@@ -464,18 +464,26 @@ def _cause_of_remainder(report: Mapping[str, Any]) -> str:
 
 
 def largest_position_error(errors: Mapping[str, Any]) -> str:
-    """Return the largest rms error of the position channels, or of all channels if there is no position, in words.
+    """Return the largest rms error of the position channels, in words.
+
+    Lengths come first, then angles. Of channels of other kinds, whose units do not compare, it is the error of the
+    channel with the largest multiple of its noise.
 
     Args:
-        errors: Errors by channel as in report.json, with "rmse" in the channel's unit.
+        errors: Errors by channel as in report.json, with "rmse" in the channel's unit and "noise_ratio".
     """
-    measured = {c: e["rmse"] for c, e in errors.items() if isinstance(e, dict) and e["rmse"] is not None}
-    positions = {c: rmse for c, rmse in measured.items() if c.endswith("_m")} or measured
-    if not positions:
+    measured = {c: e for c, e in errors.items() if isinstance(e, dict) and e["rmse"] is not None}
+    if not measured:
         return "diverges, or not measured"
-    channel = max(positions, key=lambda c: positions[c])
-    factor, unit = readable_unit(channel, positions[channel])
-    return f"{number(factor * positions[channel])} {unit} rms at {channel}"
+    unit_of_positions = next((u for u in ("_m", "_rad") if any(c.endswith(u) for c in measured)), None)
+    if unit_of_positions is None:
+        channel = max(measured, key=lambda c: measured[c]["noise_ratio"] or 0.0)  # None without noise
+    else:
+        positions = [c for c in measured if c.endswith(unit_of_positions)]
+        channel = max(positions, key=lambda c: measured[c]["rmse"])
+    rmse = measured[channel]["rmse"]
+    factor, unit = readable_unit(channel, rmse)
+    return f"{number(factor * rmse)} {unit} rms at {channel}"
 
 
 def _dependence_sentences(report: Mapping[str, Any]) -> list[str]:

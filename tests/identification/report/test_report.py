@@ -22,7 +22,12 @@ from hframe_gym.effects.smooth_table import KNOTS
 from hframe_gym.identification import Dataset, IdentificationResult, write_result
 from hframe_gym.identification.fit.channel_errors import ChannelError
 from hframe_gym.identification.fit.missing_force import Dependence
-from hframe_gym.identification.report.answers import removed_by_effects, tone_of_remainder, verdict_sentence
+from hframe_gym.identification.report.answers import (
+    largest_position_error,
+    removed_by_effects,
+    tone_of_remainder,
+    verdict_sentence,
+)
 from hframe_gym.identification.report.correlations import CONFIDENCE, correlation
 from hframe_gym.identification.report.curves import page_curves, worst_first
 from hframe_gym.identification.report.effect_curves import effect_curve
@@ -162,6 +167,21 @@ def test_the_error_of_the_sentence_is_the_root_mean_square_over_the_channels() -
     sentence = verdict_sentence(report, list(errors))
     assert "error of the declared model on the held-out runs is 5 times the sensors' noise" in sentence
     assert "An error of 5 times the sensors' noise (1 mm rms at x_m) is left" in sentence
+
+
+@pytest.mark.parametrize(
+    ("errors", "largest"),
+    [
+        ({"phi_rad": (0.0054, 11.8), "phi_rad_s": (0.159, 1.01)}, "5.4 mrad rms at phi_rad"),
+        ({"phi_rad": (0.02, 40.0), "x_m": (1e-3, 2.0), "y_m": (2e-3, 1.0)}, "2 mm rms at y_m"),
+        ({"v_m_s": (0.01, 9.0), "i_A": (0.2, 1.0)}, "0.01 m/s rms at v_m_s"),
+    ],
+)
+def test_errors_in_different_units_are_not_compared(
+    errors: dict[str, tuple[float, float]], largest: str
+) -> None:
+    held_out = {c: {"rmse": rmse, "noise_ratio": ratio} for c, (rmse, ratio) in errors.items()}
+    assert largest_position_error(held_out) == largest
 
 
 def test_an_effect_that_makes_held_out_runs_worse_is_called_so(data: Dataset, tmp_path: Path) -> None:
