@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,8 +11,9 @@ from ..arrays import Array
 from ..dynamics import mode_frequencies
 from ..identification import Dataset
 from ..machine import Machine, rigid_motions
-from ..recordings import Recording, bridge_blanks, comparison_window
+from ..recordings import Recording, bridge_blanks, comparison_window, peak_to_peak
 from .findings import Finding, channel_unit
+from .stuck_outputs import NOISE_SPAN
 from .wiring import sensor_motions
 
 _OVERVOLTAGE = 1.2  # times the rated voltage, above which the column's unit is doubted
@@ -28,6 +30,31 @@ _TOP_PERCENTILE = 99  # percentile of the speeds that counts as top speed; the m
 _MIN_SPECTRUM_ROWS = 9  # rows of a run; the spectrum of a shorter one has hardly any frequencies
 _MODE_MARGIN = 0.7  # fraction of the lowest belt frequency; power above it excites the belts
 _MODE_POWER = 1e-3  # fraction of the total power that should be near or above the lowest belt frequency
+
+
+@dataclass(frozen=True)
+class _MeasuredMotion:
+    """Motion of the leading coordinate of a rigid motion, of all runs one after the other.
+
+    Attributes:
+        travel: Positions, m or rad, NaN where a sensor did not measure, shape (rows,).
+        speed: Speeds, m/s or rad/s, shape (differences,).
+        noise: Noise or quantization step of the travel, whichever is larger, m or rad.
+    """
+
+    travel: Array
+    speed: Array
+    noise: float
+
+    @property
+    def span(self) -> float:
+        """Difference between the largest and the smallest position, m or rad."""
+        return float(peak_to_peak(self.travel))
+
+    @property
+    def moves(self) -> bool:
+        """Whether the travel is more than the noise of the sensors."""
+        return self.span > NOISE_SPAN * self.noise
 
 
 def check_excitation(recordings: Sequence[Recording], data: Dataset, machine: Machine) -> list[Finding]:
@@ -49,7 +76,8 @@ def check_excitation(recordings: Sequence[Recording], data: Dataset, machine: Ma
     """
     findings = constant_inputs(recordings, machine) + _overvoltage(recordings, machine)
     if rigid_motions(machine):
-        findings += _amplitude(recordings, machine) + _coverage(data, machine)
+        motions = _measured_motions(data, machine)
+        findings += _amplitude(recordings, motions, machine) + _coverage(motions, machine)
     return findings + _frequencies(recordings, machine)
 
 
@@ -95,7 +123,9 @@ def _overvoltage(recordings: Sequence[Recording], machine: Machine) -> list[Find
     return findings
 
 
-def _amplitude(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
+def _amplitude(
+    recordings: Sequence[Recording], motions: Mapping[str, _MeasuredMotion], machine: Machine
+) -> list[Finding]:
     """Report the drive force relative to Coulomb friction along each rigid motion, forward and backward."""
     if machine.drive_laws:  # their force also depends on the motion
         return []
@@ -113,7 +143,15 @@ def _amplitude(recordings: Sequence[Recording], machine: Machine) -> list[Findin
         above = 100 * float(np.mean(np.abs(ratio) > 1.0))
         message = f"drive force {low:+.3g} to {high:+.3g} times Coulomb friction, above it {above:.0f} % of the time"
         if max(high, -low) < 1.0:
-            findings.append(Finding("advice", "", name, f"{message}: it never breaks away"))
+            verdict = "it never breaks away"
+            if name in motions and motions[name].moves:
+                inputs = [d.channel for d, gain in zip(machine.drives, gains, strict=True) if gain]
+                distance = f"{motions[name].span:.4g} {machine.coordinate(name).unit('position')}"
+                verdict = (
+                    f"by the machine file it never breaks away, but it moves by {distance}: is {' or '.join(inputs)} "
+                    "in another unit, or is the gain of the drive or the Coulomb friction of the file wrong?"
+                )
+            findings.append(Finding("advice", "", name, f"{message}: {verdict}"))
         elif min(high, -low) < 1.0:
             findings.append(Finding("advice", "", name, f"{message}: in one direction only"))
         else:
@@ -156,12 +194,13 @@ def _frequencies(recordings: Sequence[Recording], machine: Machine) -> list[Find
     return findings
 
 
-def _coverage(data: Dataset, machine: Machine) -> list[Finding]:
-    """Report travel, speeds, directions and slow motion along each rigid motion."""
+def _measured_motions(data: Dataset, machine: Machine) -> dict[str, _MeasuredMotion]:
+    """Return the motion that all runs together measure along each rigid motion; {} if the sensors do not tell it."""
     M = sensor_motions(machine)  # (sensors, motions)
     names = list(rigid_motions(machine))
     travels: list[Array] = []
     speeds: list[Array] = []
+    noise = np.zeros(len(names))  # of the travel along each motion
     for run in data.runs:
         measured = np.isfinite(run.outputs).any(axis=0) & M.any(axis=1)  # sensors of positions
         if np.linalg.matrix_rank(M[measured]) < len(names) or len(run.time_s) < 3:
@@ -169,16 +208,30 @@ def _coverage(data: Dataset, machine: Machine) -> list[Finding]:
         size = np.linalg.norm(M[measured], axis=1)
         span = comparison_window(run.outputs[:, measured], run.time_s, _WINDOW)
         outputs = bridge_blanks(run.outputs[:, measured], run.time_s, span)
-        travel = (outputs / size) @ np.linalg.pinv(M[measured] / size[:, None]).T  # (n, motions)
+        weights = np.linalg.pinv(M[measured] / size[:, None]) / size  # (motions, sensors)
+        travel = outputs @ weights.T  # (n, motions)
+        noise = np.fmax(noise, np.abs(weights) @ np.fmax(data.noise, data.quantum)[measured])
         period = float(np.median(np.diff(run.time_s)))
         window = max(1, min(len(travel) - 1, round(span / period)))
         elapsed = run.time_s[window:] - run.time_s[:-window]
         travels.append(travel)
         speeds.append((travel[window:] - travel[:-window]) / elapsed[:, None])
+    return {
+        name: _MeasuredMotion(
+            np.concatenate([t[:, k] for t in travels]),
+            np.concatenate([s[:, k] for s in speeds]),
+            float(noise[k]),
+        )
+        for k, name in enumerate(names if travels else ())
+    }
+
+
+def _coverage(motions: Mapping[str, _MeasuredMotion], machine: Machine) -> list[Finding]:
+    """Report travel, speeds, directions and slow motion along each rigid motion."""
     findings = []
-    for k, name in enumerate(names if travels else ()):
-        findings += _check_travel(name, np.concatenate([t[:, k] for t in travels]), machine)
-        findings += _check_speed(name, np.concatenate([s[:, k] for s in speeds]), machine)
+    for name, motion in motions.items():
+        findings += _check_travel(name, motion.travel, machine)
+        findings += _check_speed(name, motion.speed, machine)
     return findings
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 
 import numpy as np
 
@@ -29,8 +30,23 @@ def test_runs_with_a_single_motor_need_no_advice(runs: list[Recording], hframe: 
 
 
 def test_inputs_below_coulomb_friction_never_break_away(runs: list[Recording], hframe: Machine) -> None:
+    weak = [
+        dataclasses.replace(
+            r, inputs=0.01 * r.inputs, outputs=hframe.simulate(r.time_s, 0.01 * r.inputs).outputs
+        )
+        for r in with_change(runs, lambda u, y: (u, y))
+    ]
+    findings = check_recordings(weak, hframe)
+    assert {f.channel for f in findings if f.message.endswith("it never breaks away")} == {"x", "y"}
+
+
+def test_motion_that_the_inputs_cannot_cause_points_at_their_unit(
+    runs: list[Recording], hframe: Machine
+) -> None:
     findings = check_recordings(with_change(runs, lambda u, y: (0.01 * u, y)), hframe)
-    assert {f.channel for f in findings if "never breaks away" in f.message} == {"x", "y"}
+    messages = {f.channel: f.message for f in findings if "never breaks away" in f.message}
+    assert set(messages) == {"x", "y"}
+    assert re.search(r"but it moves by 0\.\d+ m: is v1_V or v2_V in another unit", messages["x"])
 
 
 def test_inputs_far_above_the_rated_voltage_are_advice(runs: list[Recording], hframe: Machine) -> None:
