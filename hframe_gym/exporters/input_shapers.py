@@ -98,15 +98,22 @@ class InputShaperExporter(MachineExporter):
 
     at: list[str] | None = option(None, "Tool position of the modes, as AXIS=POSITION; repeat for more axes.")
 
-    def notes(self) -> list[str]:
-        """Describe what the settings are for, in lines for a comment."""
-        return [
+    def notes(self, machine: Machine) -> list[str]:
+        """Describe what the settings are for, in lines for a comment, and that nothing measured them if so."""
+        notes = [
             "For the first mode of the carriage along each axis, with the motors held at their "
             "commanded positions as the",
             f"firmware holds them; tool at {', '.join(self.at or []) or 'the center'}. Higher "
             "modes and dry friction are not covered.",
             "Belts change their stiffness with the position: compare the corners of the workspace (--at).",
         ]
+        if machine.uncertainty is None:
+            notes += [
+                "NOT MEASURED: frequencies and damping follow from the values of the machine file, which "
+                "hframe identify did",
+                "not determine. Identify the machine before a printer uses these settings.",
+            ]
+        return notes
 
     def axis_modes(self, machine: Machine) -> list[AxisMode]:
         """Compute the first mode of each axis of the tool.

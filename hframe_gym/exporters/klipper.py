@@ -29,7 +29,7 @@ class KlipperExporter(InputShaperExporter):
     def files(self, machine: Machine) -> Files:
         """Return the section for printer.cfg and the table of impulses."""
         found = self.axis_modes(machine)
-        header = self.header(machine, *self.notes(), *(mode.described for mode in found))
+        header = self.header(machine, *self.notes(machine), *(mode.described for mode in found))
         lines = ["[input_shaper]"]
         for mode in found:
             axis = mode.letter.lower()

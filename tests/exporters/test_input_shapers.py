@@ -104,3 +104,14 @@ def test_the_stiffness_at_the_place_counts(hframe: Machine) -> None:
         return float(exporter.axis_modes(hframe)[0].frequency)  # type: ignore[attr-defined]
 
     assert frequency("x=0.25") != pytest.approx(frequency(), rel=1e-3)
+
+
+@pytest.mark.parametrize("kind", ["klipper", "marlin"])
+def test_settings_of_a_machine_that_was_not_identified_say_so(kind: str) -> None:
+    machine = load_machine("corexy")
+    identified = machine.replace(uncertainty=Uncertainty(("x.mass",), np.array([[1e-4]])))
+    exporter = EXPORTERS.get(kind)(machine="corexy")  # type: ignore[call-arg]
+    for content in exporter.files(machine).values():
+        assert "NOT MEASURED: frequencies and damping follow from the values" in content
+    for content in exporter.files(identified).values():
+        assert "NOT MEASURED" not in content
