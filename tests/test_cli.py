@@ -771,6 +771,16 @@ def test_a_proposal_to_train_names_what_differs_from_the_recipe(monkeypatch: pyt
     assert training_proposal("hframe", "my_package.tasks:juggle", "default", 0.01) == ""
 
 
+def test_the_proposed_commands_quote_names_with_blanks(hframe_command: Command, tmp_path: Path) -> None:
+    machine, runs = tmp_path / "my rig.json", tmp_path / "first runs"
+    assert hframe_command("machines", "new", "--like", "axis", "--out", machine)[0] == 0
+    assert "hframe check RUNS --machine 'my rig.json'" in machine.read_text()
+    rows = [f"{i / 1000},{np.sin(i / 50)},{1e-3 * (1 - np.cos(i / 50))}" for i in range(200)]
+    (tmp_path / "log.csv").write_text("\n".join(["time_s,v_V,x_m", *rows]))
+    out = hframe_command("import", tmp_path / "log.csv", "--machine", machine, "--out", runs)[1]
+    assert f"Next: hframe check '{runs}' --machine '{machine}'\n" in out
+
+
 @pytest.mark.train
 def test_the_proposed_commands_repeat_randomization_and_period(
     hframe_command: Command, tmp_path: Path

@@ -15,6 +15,7 @@ import typer
 
 from ..errors import InputError
 from ..files import locked_folder, output_batch, remove_file
+from ..operating_system import quoted
 from ..parallel import files_of, map_tasks, write_files
 from .application import CommandWithChoices, app
 from .identify_steps import check_recordings_before_fit, proposed_formulas, require_several_runs, rig_folders
@@ -144,9 +145,8 @@ def import_logs(
     settings = ImportSettings(options, split_at_rests, min_rest, format.value, split_every, intervals)
     with progress_bar("import") as progress:
         files = run_import(logs, out, load_machine(machine), settings, log, progress)
-    log(
-        f"wrote {len(files)} run{'s' if len(files) > 1 else ''} to {out}. Next: hframe check {out} --machine {machine}"
-    )
+    next_command = f"hframe check {quoted(str(out))} --machine {quoted(machine)}"
+    log(f"wrote {len(files)} run{'s' if len(files) > 1 else ''} to {out}. Next: {next_command}")
 
 
 @app.command()
@@ -179,7 +179,8 @@ def check(
             "Next: correct what the faults name, and check again; `hframe identify` stops at faults without --force"
         )
         raise typer.Exit(FAULT_FOUND)
-    log(f"Next: hframe identify {runs_dir} --machine {machine} --out {Path('out', runs_dir.name)}")
+    words = (str(runs_dir), "--machine", machine, "--out", str(Path("out", runs_dir.name)))
+    log(f"Next: hframe identify {' '.join(map(quoted, words))}")
 
 
 @app.command(cls=CommandWithChoices)

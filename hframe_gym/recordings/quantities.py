@@ -173,7 +173,10 @@ QUANTITIES: dict[str, Quantity] = {
     ),
 }
 # Units of a number without a dimension: encoder counts, converter steps, bits, and marks of a column without a unit.
-COUNT_UNITS = ("counts", "count", "cts", "inc", "incr")
+COUNT_UNITS = (
+    *("counts", "count", "cts", "inc", "incr", "increments", "increment", "pulses", "pulse"),
+    *("ink", "inkr", "inkremente", "inkrement", "impulse", "imp", "impulsions"),
+)
 _WITHOUT_DIMENSION = {*COUNT_UNITS, "bit", "bits", "lsb", "bool", "digits", "-", "1", "#", "n/a"}
 
 # Other spellings of units. Those of one letter and "nm" depend on the case of the letters.

@@ -459,8 +459,9 @@ class _LogMapping:
     def _candidates(self, channel: str, unused: Sequence[LogColumn]) -> list[LogColumn]:
         """Return the columns that may be a channel, the likeliest kind only.
 
-        These are the columns with one of its units, else those that name its quantity, else those that begin with its
-        letters, else the only one. A column of another quantity, and a set point for an output, is not proposed.
+        These are the columns with a unit of its quantity, else those that name it or count, else those with a unit that
+        can be converted to it, else those that name another quantity that can be, else those that begin with its
+        letters, else the only one. A set point is not proposed for an output.
         """
         possible = [column for column in unused if self._is_proposable(channel, column)]
         accepted, dimension = accepted_units(self.machine, channel), channel_dimension(self.machine, channel)
@@ -468,11 +469,12 @@ class _LogMapping:
         family = QUANTITIES[dimension].family or dimension
         of_family = [column for column in with_unit if column.meaning.family == family]
         named = [column for column in possible if column.meaning.quantity and column not in with_unit]
+        named_so = [column for column in named if column.meaning.family in (family, "count")]
         letters = tuple(_FIRST_LETTERS[dimension])
         unknown = [column for column in possible if not column.meaning.quantity and not column.unit]
         by_letter = [column for column in unknown if plain_name(column.name).startswith(letters)]
         only_one = unknown if len(unused) == 1 and channel != TIME else []
-        return of_family or with_unit or named or by_letter or only_one
+        return of_family or named_so or with_unit or named or by_letter or only_one
 
     def _is_proposable(self, channel: str, column: LogColumn) -> bool:
         """Return whether a column can be a channel by its quantity, perhaps after the user has stated its unit."""

@@ -23,6 +23,7 @@ from ...machine import (
     Sensor,
     rest_positions_per_axis,
 )
+from ...operating_system import quoted
 from .machine_json import machine_to_dict
 from .reader import MachineReader
 from .schema import MachineFile
@@ -332,11 +333,12 @@ def write_machine_template(like: str, machine: Machine, path: Path) -> None:
     for entry in content["coordinates"]:
         if machine.axis_unit is RADIANS:  # no belt runs on it
             del entry["radius"]
+    word = quoted(path.name)
     first = [
         "Machine description of hframe_gym. All values are in SI units; docs/machine.md describes every field.",
         TEMPLATES[like].comment,
         "Comments like this one are allowed in every object. They are ignored.",
-        f"Next: hframe machines show {path.name}, then hframe check RUNS --machine {path.name}",
+        f"Next: hframe machines show {word}, then hframe check RUNS --machine {word}",
     ]
     comments = {
         "coordinates": lambda entry: TEMPLATES[like].coordinates.get(entry["name"], _PULLEY_COMMENT),

@@ -34,6 +34,7 @@ _MISSING_CELL = re.compile(rf"(?<![^,\n])[ \t]*+(?:{MISSING_WORDS})?[ \t]*+(?=[,
 _COMMENT = re.compile(r"(?mi)^[ \t]*(?:#(?!n/?a|num!|value!|ref!|div/)|%|//).*(?:\n|\Z)")
 _SEPARATORS_ONLY = re.compile(r"(?m)^[,; \t]*\n")
 _CELL_SEPARATOR = "\x1f"
+_SHOWN = 40  # characters of a faulty row that a message repeats
 # Decimal commas become points. Points, which then separate thousands, become a character that numbers do not have.
 _FOREIGN_MARK = "'"
 _FROM_DECIMAL_COMMA = str.maketrans(",.", "." + _FOREIGN_MARK)
@@ -267,8 +268,9 @@ class _BlockReader:
         for number, line in enumerate(block.split("\n"), start=self._rows + 1):
             row = split_row(line, self._layout.separator)
             if len(row) not in (len(names), len(names) + 1) or any(row[len(names) :]):
+                cells = f"{len(row)} cell{'' if len(row) == 1 else 's'}"
                 raise InputError(
-                    f"{position}{number}: {len(row)} cells under {len(names)} columns; is the row cut off?"
+                    f"{position}{number}: {cells} under {len(names)} columns{_faulty_row_advice(row)}"
                 )
             for column in (*self.numbers, *self.stamps):
                 cell = row[column]
@@ -289,3 +291,12 @@ class _BlockReader:
                         advice = "; export it without marks that separate thousands"
                     text = f"column {names[column]}: {cell!r} is not {what}{advice}"
                     raise InputError(f"{position}{number}, {text}") from None
+
+
+def _faulty_row_advice(cells: Sequence[str]) -> str:
+    """Say what to do about a row with another number of cells than its header."""
+    words = " ".join(filter(None, map(str.strip, cells)))
+    if not words[:1].isalpha():
+        return "; is the row cut off?"
+    shown = words if len(words) <= _SHOWN else f"{words[:_SHOWN]}..."
+    return f", {shown!r}; delete the row, or begin it with # if it is a comment"

@@ -704,6 +704,16 @@ def test_an_output_without_a_column_must_be_declared_unless_no_column_is_left(
             r"--scale phi1_rad=FACTOR \(FACTOR is 0.000519993 if a count is the declared resolution\)",
         ),
         (
+            "time_s,v1,v2,phi1 [Inkremente],phi2,x,z,y",
+            {},
+            r"'Inkremente' is not a unit of phi1_rad; .* \(FACTOR is 0.000519993 if a count is",
+        ),
+        (  # counts are nearer to an angle than a speed, which would be integrated
+            "time_s,v1,v2,n [rpm],phi2,x,Encoder 1 [Inkremente],y",
+            {},
+            r"Check and add: --map 'phi1_rad=Encoder 1 \[Inkremente\]'",
+        ),
+        (
             "time_s,v1,v2,phi1,phi2,x,z,y",
             {"columns": {"x_m": "z", "y_m": "z"}},
             "--map x_m=z --map y_m=z: one column cannot be two measurements",

@@ -49,6 +49,11 @@ def test_a_short_row_and_a_broken_gzip_are_refused(
     path.write_text(path.read_text() + "5.1,1,1\n")
     with pytest.raises(InputError, match="row 21: 3 cells under 7 columns"):
         load_recording(path, hframe)
+    path.write_text(path.read_text().replace("5.1,1,1", "Fault 17 of the drive"))
+    with pytest.raises(
+        InputError, match=r"row 21: 1 cell under 7 columns, 'Fault 17 of the drive'; delete the"
+    ):
+        load_recording(path, hframe)
     complete = gzip.compress(b"time_s,v1_V\n" + b"0.001,1\n" * 1000)
     damaged = complete[:20] + b"\xff\xff\xff" + complete[23:]
     for content in (b"not gzip", complete[: len(complete) // 2], damaged):
