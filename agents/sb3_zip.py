@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import warnings
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -77,13 +78,14 @@ class ZipSource(ControllerSource):
         """Load a model from a zip file, and find the form of observations with which it was trained.
 
         Raises:
-            InputError: If the file is no model of stable-baselines3, or its observations or actions are not those of an
-                environment of this scenario; the message says which are missing.
+            InputError: If the file is no model of stable-baselines3, its observations or actions are not those of an
+                environment of this scenario (the message says which are missing), or `VecNormalize` scaled them.
             ImportError: If the extra `agents` is not installed.
         """
         if not _is_zip(name):
             return None
         model = _load(Path(name))
+        _check_scaling(name, model)
         one = dataclasses.replace(scenario, episodes=1)
         observed = EnvOptions(sensors=one.sensors, period=one.period)
         environments = [environments_of(one, **observed | form) for form in _FORMS]
@@ -168,6 +170,42 @@ def _load(path: Path) -> Any:
         return getattr(package, name).load(path, device="cpu", custom_objects=_NO_REPLAY)
     except (ValueError, TypeError, RuntimeError, KeyError, AttributeError, ModuleNotFoundError) as error:
         raise InputError(f"{path}: cannot be loaded: {' '.join(str(error).split())[:200]}") from None
+
+
+def _check_scaling(name: str, model: Any) -> None:
+    """Raise InputError if `VecNormalize` scaled the observations of the training; warn if only that is unknown.
+
+    Its statistics are not in the file, but the last observations are: scaled to a standard deviation of 1, they leave
+    the observation space, which `VecNormalize` does not change. The original observations are there as well; algorithms
+    without a replay buffer have them of `VecNormalize` only, which may have scaled nothing but the rewards.
+    """
+    last, space = getattr(model, "_last_obs", None), model.observation_space
+    advice = (
+        "Evaluate a controller of your own that loads the model and its statistics "
+        "(docs/with_your_library.md, VecNormalize)"
+    )
+    if last is not None and not _within(space, last):
+        raise InputError(
+            f"{name}: was trained on observations that VecNormalize scaled; its statistics, without which the actions "
+            f"mean nothing, are not in this file. {advice}"
+        )
+    has_replay = hasattr(model, "replay_buffer")
+    if not has_replay and getattr(model, "_last_original_obs", None) is not None:
+        warnings.warn(
+            f"{name}: was trained with VecNormalize, whose statistics are not in this file. If it scaled only rewards "
+            f"(norm_obs=False), all is well; otherwise the actions mean nothing. {advice}",
+            stacklevel=2,
+        )
+
+
+def _within(space: Any, observation: Any) -> bool:
+    """Return whether observations, one a row, lie in a space but for rounding."""
+    if isinstance(space, spaces.Dict):
+        return all(_within(box, observation[key]) for key, box in space.spaces.items() if key in observation)
+    if not isinstance(space, spaces.Box):
+        return True
+    margin = 1e-5 * np.maximum(1.0, np.abs(np.where(np.isfinite(space.high), space.high, 1.0)))  # of float32
+    return bool(np.all(observation >= space.low - margin) and np.all(observation <= space.high + margin))
 
 
 def _same(space: Any, other: Any) -> bool:

@@ -251,7 +251,14 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
 
     @override
     def env_method(self, method_name: str, *args: Any, indices: Indices = None, **kwargs: Any) -> list[Any]:
-        """Call a method of the vector environment once, and return the result once per index."""
+        """Call a method of the vector environment once, and return the result once per index.
+
+        `get_wrapper_attr` and `has_wrapper_attr`, which Gymnasium's single environments have, work as there.
+        """
+        if method_name in ("get_wrapper_attr", "has_wrapper_attr"):
+            look_up = getattr if method_name == "get_wrapper_attr" else hasattr
+            result = look_up(self.envs, *args, **kwargs)
+            return [result] * len(list(self._get_indices(indices)))
         result = getattr(self.envs, method_name)(*args, **kwargs)
         return [result] * len(list(self._get_indices(indices)))
 

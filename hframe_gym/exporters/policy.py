@@ -61,11 +61,18 @@ class PolicyExporter(Exporter):
         """Convert the agent to the content of each file; the log gets a line that says why a file is missing.
 
         Raises:
-            InputError: If there is no such agent, or its actions need more than a network.
+            InputError: If there is no such agent, it is a model of stable-baselines3, or its actions need more than a
+                network.
             ImportError: If the extra `agents` is not installed.
         """
         from ..agents import Agent, shipped_agent_folder
 
+        if self.agent.endswith(".zip"):
+            raise InputError(
+                f"{self.agent}: models of stable-baselines3 are not exported, only agents in folders, which "
+                "`hframe train` writes, and shipped ones. Train one (hframe train ppo), or export the model by the "
+                "means of stable-baselines3 (its documentation, Exporting models)"
+            )
         folder = (
             Path(self.agent) if Path(self.agent).is_dir() else shipped_agent_folder(self.agent, self.task)
         )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+import warnings
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -112,6 +114,72 @@ def test_a_model_of_other_observations_is_refused_by_what_is_missing(
 ) -> None:
     with pytest.raises(InputError, match=message):
         make_controller(saved(tmp_path / "model.zip", make()))
+
+
+def trained(path: Path, algorithm: str, options: dict[str, Any], scaling: dict[str, Any] | None) -> str:
+    """Train a model for 64 steps, with `VecNormalize` if keywords for it are given; save both; return the model's path."""
+    envs: Any = HFrameVecEnv(2, **options)
+    if scaling is not None:
+        envs = stable_baselines3.common.vec_env.VecNormalize(envs, **scaling)
+    policy = "MlpPolicy" if options.get("flat") else "MultiInputPolicy"
+    few: dict[str, Any] = {"learning_starts": 10_000, "buffer_size": 100}
+    if algorithm == "PPO":
+        few = {"n_steps": 32, "batch_size": 32, "n_epochs": 1}
+    model = getattr(stable_baselines3, algorithm)(policy, envs, seed=0, device="cpu", **few)
+    model.learn(64)
+    model.save(path)
+    if scaling is not None:
+        envs.save(path.with_name("statistics.pkl"))
+    return str(path)
+
+
+@pytest.mark.parametrize("options", [{}, {"normalize": True, "flat": True}])
+@pytest.mark.parametrize(
+    ("algorithm", "scaling", "ending"),
+    [
+        ("PPO", None, "accepted"),
+        ("SAC", None, "accepted"),
+        ("PPO", {"norm_obs": True}, "not accepted silently"),
+        ("SAC", {"norm_obs": True}, "refused"),
+        ("PPO", {"norm_obs": False}, "warning"),
+        ("SAC", {"norm_obs": False}, "accepted"),
+    ],
+)
+def test_a_model_whose_observations_were_scaled_is_not_scored_silently(
+    tmp_path: Path, algorithm: str, options: dict[str, Any], scaling: dict[str, Any] | None, ending: str
+) -> None:
+    name = trained(tmp_path / "model.zip", algorithm, options, scaling)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        try:
+            make_controller(name, Scenario())
+            found = (
+                "warning"
+                if any("VecNormalize, whose statistics" in str(w.message) for w in caught)
+                else "accepted"
+            )
+        except InputError as error:
+            assert "observations that VecNormalize scaled" in str(error)
+            found = "refused"
+    assert found == ending or (ending == "not accepted silently" and found != "accepted")
+
+
+def test_the_documented_controller_applies_the_statistics(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name = trained(tmp_path / "model.zip", "PPO", {}, {"norm_obs": True})
+    page = (Path(__file__).parents[2] / "docs" / "with_your_library.md").read_text("utf-8")
+    (source,) = (
+        block for block in page.split("```python\n") if '@CONTROLLERS.register("scaled-ppo")' in block
+    )
+    monkeypatch.chdir(tmp_path)
+    exec(compile(source.partition("```")[0], "my_control.py", "exec"), {})
+    scaled = make_controller("scaled-ppo", Scenario())
+    plain, _ = HFrameVectorEnv(4).reset(seed=5)
+    model = stable_baselines3.PPO.load(name, device="cpu")
+    statistics = pickle.loads((tmp_path / "statistics.pkl").read_bytes())
+    expected, _ = model.predict(statistics.normalize_obs(plain), deterministic=True)
+    np.testing.assert_array_equal(scaled.act(plain), expected)
 
 
 def test_other_zip_files_are_refused(tmp_path: Path) -> None:

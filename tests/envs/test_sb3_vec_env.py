@@ -178,3 +178,12 @@ def test_infos_hold_what_the_progress_reward_needs():
         np.testing.assert_array_equal(info["previous_achieved_goal"], before["achieved_goal"][b])
         goals = (after["achieved_goal"][b], after["desired_goal"][b])
         assert vec.envs.compute_reward(*goals, info) == pytest.approx(reward)
+
+
+def test_attributes_are_found_by_the_methods_of_single_environments() -> None:
+    envs = HFrameVecEnv(3)
+    assert envs.env_method("get_wrapper_attr", "max_episode_steps") == [150] * 3
+    assert envs.env_method("has_wrapper_attr", "max_episode_steps", indices=[1]) == [True]
+    assert envs.env_method("has_wrapper_attr", "nothing") == [False] * 3
+    with pytest.raises(AttributeError, match="nothing"):
+        envs.env_method("get_wrapper_attr", "nothing")

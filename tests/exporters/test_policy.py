@@ -118,3 +118,8 @@ def test_agents_that_need_more_than_a_network_are_refused(agent: str, reason: st
 def test_an_unknown_agent_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no shipped agent 'nobody'"):
         exported("nobody", "reach", tmp_path)
+
+
+def test_a_model_of_stable_baselines3_is_refused_as_such(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="a_ppo.zip: models of stable-baselines3 are not exported"):
+        exported("a_ppo.zip", "reach", tmp_path)
