@@ -10,9 +10,9 @@ import numpy as np
 from ..arrays import Array
 from ..dynamics import mode_frequencies
 from ..identification import Dataset
-from ..machine import Machine, rigid_motions
+from ..machine import DRIVE_KINDS, Machine, rigid_motions
 from ..recordings import Recording, bridge_blanks, comparison_window, peak_to_peak
-from .findings import Finding, channel_unit
+from .findings import Finding, channel_unit, command_in_words
 from .stuck_outputs import NOISE_SPAN
 from .wiring import sensor_motions
 
@@ -99,13 +99,11 @@ def constant_inputs(recordings: Sequence[Recording], machine: Machine) -> list[F
         Finding(
             "advice",
             recording.name,
-            channel,
-            f"never changes, it is {values[0] + 0.0:.4g} {channel_unit(channel, machine)} throughout",  # never -0
+            drive.channel,
+            f"never changes, it is {command_in_words(float(values[0]), drive, machine)} throughout",
         )
         for recording in recordings
-        for column, (channel, values) in enumerate(
-            zip(machine.input_channels, recording.inputs.T, strict=True)
-        )
+        for column, (drive, values) in enumerate(zip(machine.drives, recording.inputs.T, strict=True))
         if np.ptp(values) == 0.0 and (values[0] != 0.0 or not used[column])
     ]
 
@@ -118,7 +116,10 @@ def _overvoltage(recordings: Sequence[Recording], machine: Machine) -> list[Find
         if largest > _OVERVOLTAGE * drive.rated_voltage:
             unit = channel_unit(drive.channel, machine)
             rated = f"rated {drive.rated_voltage:.4g} {unit}"
-            message = f"reaches {largest:.4g} {unit}, {rated}: is the column in another unit or in %?"
+            doubt = "is the column in another unit or in %?"
+            if DRIVE_KINDS.get(drive.kind).fraction:  # no duty cycle exceeds 1
+                doubt = "is the supply in another unit, or the rated voltage of the machine file too small?"
+            message = f"reaches {largest:.4g} {unit}, {rated}: {doubt}"
             findings.append(Finding("advice", "", drive.channel, message))
     return findings
 

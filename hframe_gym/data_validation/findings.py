@@ -15,7 +15,7 @@ from rich.table import Table
 
 from ..errors import InputError, name_runs
 from ..files import write_text
-from ..machine import Machine
+from ..machine import DRIVE_KINDS, Drive, Machine
 
 Severity = Literal["fault", "advice", "note"]
 
@@ -67,6 +67,24 @@ def channel_unit(channel: str, machine: Machine) -> str:
         return ending if ending in ("A", "Nm") else "V"
     sensor = machine.sensor(channel)
     return ending if sensor.of_position and ending in ("m", "rad") else machine.sensor_unit(sensor)
+
+
+def command_in_words(value: float, drive: Drive, machine: Machine) -> str:
+    """Return a command of a drive, given in the unit of simulations, in the unit of its channel.
+
+    Args:
+        value: Command as in `Recording.inputs`.
+        drive: Drive of the machine.
+        machine: Declared machine.
+
+    Returns:
+        Number and unit, such as "3 V". A duty cycle, which is a voltage in simulations, is a fraction of the rated
+        voltage, which it is of if the supply was not measured.
+    """
+    text = f"{value + 0.0:.4g} {channel_unit(drive.channel, machine)}"  # never -0
+    if not DRIVE_KINDS.get(drive.kind).fraction:
+        return text
+    return f"{value / drive.rated_voltage + 0.0:.4g} of the rated voltage ({text})"
 
 
 def group_findings(findings: Sequence[Finding]) -> list[Finding]:

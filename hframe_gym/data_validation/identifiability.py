@@ -102,8 +102,8 @@ def check_parameters(data: Dataset, machine: Machine) -> list[Finding]:
         machine: Declared machine.
 
     Returns:
-        One finding (severity, channel, message) per parameter or sum: advice if it has no influence on the measurements
-        or its relative standard deviation exceeds 10 %, otherwise a note.
+        One finding (severity, channel, message) per parameter or sum: advice if its relative standard deviation exceeds
+        10 %, otherwise a note; and one of advice for all parameters that have no influence on the measurements.
     """
     names, information = _relative_information(
         data, machine, [f.name for f in default_free_parameters(machine)]
@@ -122,11 +122,15 @@ def check_parameters(data: Dataset, machine: Machine) -> list[Finding]:
         )
         severity: Severity = "advice" if relative_std > _LARGE_STD else "note"
         findings.append(Finding(severity, "", f"{viscous} and {ke}", message))
+    without_influence = [
+        b.name for b in bounds if b.name in reported_alone and not np.isfinite(b.relative_std)
+    ]
+    if without_influence:
+        verb = "has" if len(without_influence) == 1 else "have"
+        message = f"{verb} no influence on these runs"
+        findings.append(Finding("advice", "", ", ".join(without_influence), message))
     for bound in bounds:
-        if bound.name not in reported_alone:
-            continue
-        if not np.isfinite(bound.relative_std):
-            findings.append(Finding("advice", "", bound.name, "has no influence on these runs"))
+        if bound.name not in reported_alone or bound.name in without_influence:
             continue
         message, severity = f"standard error at least {100 * bound.relative_std:.2g} %", "note"
         if bound.relative_std > _LARGE_STD:

@@ -56,6 +56,19 @@ def test_inputs_far_above_the_rated_voltage_are_advice(runs: list[Recording], hf
     )
 
 
+def test_a_duty_cycle_is_reported_as_a_fraction(runs: list[Recording], hframe: Machine) -> None:
+    """Recordings hold the voltage that a duty cycle makes of the supply, which may exceed the rated one."""
+    drives = tuple(
+        dataclasses.replace(d, kind="duty-cycle", channel=f"duty{i}") for i, d in enumerate(hframe.drives)
+    )
+    machine = hframe.replace(drives=drives)  # rated 12 V
+    held = with_change(runs[:1], lambda u, y: (u * [1.0, 0.0] + [0.0, 3.0], y))
+    texts = {f.message for f in check_before_fit(held, machine) if "never changes" in f.message}
+    assert texts == {"never changes, it is 0.25 of the rated voltage (3 V) throughout"}
+    high = check_recordings(with_change(runs[:1], lambda u, y: (20 * u, y)), machine)
+    assert any("V, rated 12 V: is the supply in another unit" in f.message for f in high)
+
+
 def test_a_current_is_reported_in_ampere() -> None:
     axis = BUILTIN_MACHINES["axis"]()
     machine = axis.replace(

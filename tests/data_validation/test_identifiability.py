@@ -115,3 +115,16 @@ def test_correlated_parameters_are_inseparable_only_if_they_are_inaccurate(
     data = prepare([Recording("r", np.arange(50) * 1e-3, np.zeros((50, 1)), np.zeros((50, 1)))], cart)
     (finding,) = check_parameters(data, cart)
     assert (finding.severity, finding.message) == (severity, message)
+
+
+def test_parameters_without_influence_share_one_finding(
+    cart: Machine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bounds = [CramerRaoBound(name, np.inf, "", 0.0) for name in ("x.mass", "x.viscous")]
+    monkeypatch.setattr(
+        identifiability, "_relative_information", lambda *_: (["x.mass", "x.viscous"], np.eye(2))
+    )
+    monkeypatch.setattr(identifiability, "_joint_bounds", lambda *_: bounds)
+    data = prepare([Recording("r", np.arange(50) * 1e-3, np.zeros((50, 1)), np.zeros((50, 1)))], cart)
+    (finding,) = check_parameters(data, cart)
+    assert str(finding) == "advice: x.mass, x.viscous: have no influence on these runs"
