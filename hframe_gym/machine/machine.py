@@ -180,8 +180,10 @@ class Machine:
 
     @property
     def commands_in_words(self) -> str:
-        """What the drives are commanded by, as a plural: "voltages", "currents", "torques", or "set points"."""
-        quantities = {drive.command for drive in self.drives}
+        """What the drives are commanded by, as a plural: "voltages", "duty cycles", "currents", ... or "set points"."""
+        quantities = {
+            "duty cycle" if DRIVE_KINDS.get(drive.kind).fraction else drive.command for drive in self.drives
+        }
         if quantities and quantities <= {"position", "speed"}:
             return "set points"
         return f"{quantities.pop()}s" if len(quantities) == 1 else "commands"

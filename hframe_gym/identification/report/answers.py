@@ -107,10 +107,11 @@ def _certainty(saved: SavedResult, effects: Sequence[Mapping[str, Any]]) -> list
     if effects:
         sentences += removed_by_effects(report)
         rivals = [f"{e['name']} at {e['site']} (or {', '.join(e['rivals'])})" for e in effects if e["rivals"]]
+        others = "effect that was tried" if report.get("unfinished") else "effect of the library"
         sentences.append(
             f"These runs do not tell apart: {'; '.join(rivals)}."
             if rivals
-            else "No other effect of the library explains these runs as well."
+            else f"No other {others} explains these runs as well."
         )
         sentences += _precision(saved.machine)
     return [*sentences, _whiteness(report)]

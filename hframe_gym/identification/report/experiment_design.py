@@ -38,6 +38,9 @@ from ..propose.trial_fits import fit_in_place_of
 FILE = "next_experiment.csv"
 # Difference of the predictions, in standard deviations of the sensors' noise, below which no experiment is proposed.
 MINIMUM_SIGMA = 10.0
+# Standard deviations above which the expected difference is stated as "clearly": the models are not as exact as a
+# larger number would promise, and where one of them is near instability the number grows without limit.
+CLEAR_SIGMA = 100.0
 _DURATION_S, _REST_S = 3.0, 0.15  # of the run, and at rest at either end
 _AMPLITUDES = (0.05, 0.1, 0.2, 0.35, 0.6, 1.0)  # fractions of the rated voltage
 _TRAVEL_MARGIN = 0.1  # fraction of the travel that remains free at either end
@@ -53,7 +56,7 @@ class ExperimentDesign:
     Attributes:
         separates: Labels (name@component) of the two effects between which the run decides.
         time_s: Sample times, s, shape (n,).
-        inputs: Drive voltages, V, shape (n, drives); the run starts at rest at zero.
+        inputs: Inputs of the drives, in their units, shape (n, drives); the run starts at rest at zero.
         sigma: Root of the sum of squared differences of all predicted values, in standard deviations of the noise.
         rms: Root mean square of the same differences per predicted value, in standard deviations of the noise.
         channel: Output channel with the largest sum of squared differences.
@@ -70,10 +73,18 @@ class ExperimentDesign:
     def why(self) -> str:
         """Purpose and expected effect of the run in English sentences, for the report."""
         first, second = self.separates
+        size = (
+            f"by {self.sigma:.3g} standard deviations of the sensors' noise in total ({self.rms:.2g} rms per measured "
+            f"value, most in {self.channel})"
+        )
+        if self.sigma > CLEAR_SIGMA:
+            size = (
+                f"clearly (by more than {CLEAR_SIGMA:.0f} standard deviations of the sensors' noise in total, most in "
+                f"{self.channel})"
+            )
         return (
-            f"{first} and {second} explain the recordings equally well. On this run their predictions should differ by "
-            f"{self.sigma:.3g} standard deviations of the sensors' noise in total ({self.rms:.2g} rms per measured "
-            f"value, most in {self.channel}), even after a refit of the parameters of {second}. Start at rest at zero."
+            f"{first} and {second} explain the recordings equally well. On this run their predictions should differ "
+            f"{size}, even after a refit of the parameters of {second}. Start at rest at zero."
         )
 
     def as_json(self) -> dict[str, Any]:

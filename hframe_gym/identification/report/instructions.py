@@ -21,7 +21,7 @@ _NO_DIRECTION = (
     "that the model lacks is not seen. Then record the runs again and identify with them."
 )
 _NO_EXPERIMENT = {  # by kind of cause that explains as much as an effect
-    "rivals": "No experiment is proposed: no tested run within rated voltages and travel reliably distinguishes",
+    "rivals": "No experiment is proposed: no tested run within rated values and travel reliably distinguishes",
     "equivalent": "No recording can distinguish",
 }
 _SHORTER_PERIODS_S = (0.005, 0.002, 0.001, 0.0005)  # control periods at which a textbook PID is tried
@@ -29,9 +29,9 @@ _MOTIONS = {  # by the quantity of a variable: the run that shows a dependence o
     "velocity": "move {} at six or more constant speeds in both directions, from the slowest to the top speed",
     "position": "move {} slowly and at constant speed over its full travel, several times in both directions",
     "path": "repeat the same motion for several minutes without a pause",
-    "acceleration": "accelerate {} with several voltages from the same place, in both directions",
-    "current": "accelerate {} with voltages from small ones to the rated one, in both directions",
-    "load": "accelerate {} with voltages from small ones to the rated one, in both directions",
+    "acceleration": "accelerate {} with several {commands} from the same place, in both directions",
+    "current": "accelerate {} with {commands} from small ones to the largest, in both directions",
+    "load": "accelerate {} with {commands} from small ones to the largest, in both directions",
     "heat": "begin cold, and repeat the same motion until its error does not change any more",
     "time": "begin cold, and repeat the same motion until its error does not change any more",
     "dwell": "let {} rest for different times, from tenths of a second to a minute, before each start",
@@ -101,14 +101,15 @@ def _recordings(
     report = saved.report
     if report["next_experiment"]:
         why, file = report["next_experiment"]["why"], report["next_experiment"]["file"]
-        text = f"{why} Apply the voltages of {folder / file}, record the run, and identify again with it."
+        commands = saved.machine.commands_in_words
+        text = f"{why} Apply the {commands} of {folder / file}, record the run, and identify again with it."
         return [_step(text, _again(saved, folder))]
     if report["verdict"] == "unexplained" and not saved.machine.shows_direction:
         return [_step(_NO_DIRECTION, _again(saved, folder))]
     if report["verdict"] == "unexplained":
         text = (
             "Look for a physical cause of the dependence in the section Residual force. Record runs that isolate it: "
-            f"{_isolating(report)}. Then identify again with them."
+            f"{_isolating(report, saved.machine.commands_in_words)}. Then identify again with them."
         )
         return [_step(text, _again(saved, folder))]
     for kind, why in _NO_EXPERIMENT.items():
@@ -126,12 +127,12 @@ def _continued(saved: SavedResult, folder: Path) -> list[dict[str, str]]:
     return [_step(text, f"{_again(saved, folder)} --budget inf")]
 
 
-def _isolating(report: Mapping[str, Any]) -> str:
+def _isolating(report: Mapping[str, Any], commands: str) -> str:
     """Return the run that isolates the variable on which the missing force depends most."""
     for dependence in report["residual"]["depends_on"][:1]:
         quantity, _, name = dependence["variable"].partition(" of ")
         if quantity in _MOTIONS:
-            return _MOTIONS[quantity].format(name or "the machine")
+            return _MOTIONS[quantity].format(name or "the machine", commands=commands)
     return "move slowly and fast, one axis at a time, over the full travel"
 
 

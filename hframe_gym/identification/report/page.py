@@ -66,7 +66,7 @@ def build_report(folder: Path, final_folder: Path | None = None) -> Path:
         "title": f"Identification of {saved.declared.name}",
         "declared_name": saved.declared.name,
         "report": report,
-        "heading": _HEADINGS[report["verdict"]] + ("" if report["verdict"] == "unexplained" else _LEFT[tone]),
+        "heading": _heading(report, tone),
         "tone": tone,
         "answers": answers(saved, effects, runs, steps[0]["text"]),
         "tiles": _tiles(report, channels),
@@ -96,6 +96,13 @@ def build_report(folder: Path, final_folder: Path | None = None) -> Path:
     except OSError as error:
         raise InputError(f"{error.filename or folder}: cannot be written ({error.strerror})") from None
     return folder / "report.html"
+
+
+def _heading(report: Mapping[str, Any], tone: str) -> str:
+    """Return the heading of the page: the verdict, how much is left, and whether the search was complete."""
+    left = "" if report["verdict"] == "unexplained" else _LEFT[tone]
+    unfinished = "; the search is not complete" if report.get("unfinished") else ""
+    return f"{_HEADINGS[report['verdict']]}{left}{unfinished}"
 
 
 def _tiles(report: Mapping[str, Any], channels: Sequence[str]) -> list[dict[str, str]]:

@@ -121,6 +121,44 @@ def test_the_proposed_experiment_is_written_and_an_old_one_is_removed(data: Data
     assert "Next experiment" not in page
 
 
+@pytest.mark.parametrize(
+    ("sigma", "promise"), [(40.0, "by 40 standard"), (2.35e8, "clearly (by more than 100 standard")]
+)
+def test_the_proposed_experiment_promises_no_more_than_is_known(sigma: float, promise: str) -> None:
+    why = dataclasses.replace(PLAN, sigma=sigma).why
+    assert f"their predictions should differ {promise} deviations of the sensors' noise" in why
+    assert "e+" not in why
+
+
+@pytest.mark.parametrize(
+    ("change", "commands"),
+    [
+        ({}, "voltages"),
+        ({"kind": "duty-cycle"}, "duty cycles"),
+        ({"kind": "current", "Ke": 0.0, "resistance": 1.0}, "currents"),
+    ],
+)
+def test_the_proposed_experiment_names_what_is_commanded(
+    data: Dataset, tmp_path: Path, change: dict[str, Any], commands: str
+) -> None:
+    write_result(result_of(data, "effect_found", STRIBECK, PLAN), tmp_path)
+    saved = load_result(tmp_path)
+    machine = saved.machine.replace(drives=(dataclasses.replace(saved.machine.drives[0], **change),))
+    steps = next_steps(dataclasses.replace(saved, machine=machine), tmp_path, [], ["run_2"])
+    assert any(f"Apply the {commands} of " in step["text"] for step in steps)
+
+
+def test_an_effect_of_an_unfinished_search_is_not_stated_as_the_whole(data: Dataset, tmp_path: Path) -> None:
+    result = result_of(data, "effect_found", STRIBECK)
+    complete = page_of(result, tmp_path)
+    assert "the search is not complete" not in complete
+    assert "No other effect of the library explains these runs as well." in complete
+    ended = Unfinished("trial fit 2 of 5: cogging@motor", "the budget of 60 s of processor time ended")
+    page = page_of(dataclasses.replace(result, unfinished=ended), tmp_path)
+    assert re.search(r"<strong>Missing effects found[^<]*; the search is not complete</strong>", page)
+    assert "No other effect that was tried explains these runs as well." in page
+
+
 def test_the_page_states_that_no_experiment_distinguishes_rivals(data: Dataset, tmp_path: Path) -> None:
     result = result_of(data, "effect_found", STRIBECK, PLAN)
     report = result.as_json() | {"next_experiment": None}
@@ -359,7 +397,7 @@ def test_the_page_tells_where_the_result_comes_from(data: Dataset, tmp_path: Pat
             "velocity of x",
             "Record runs that isolate it: move x at six or more constant speeds in both directions",
         ),
-        ("current of motor", "accelerate motor with voltages from small ones to the rated one"),
+        ("current of motor", "accelerate motor with voltages from small ones to the largest"),
         ("time", "begin cold, and repeat the same motion"),
         ("v_V", "move slowly and fast, one axis at a time, over the full travel"),
     ],
