@@ -38,6 +38,7 @@ def describe_failure(error: Exception) -> tuple[int, str]:
     usage = getattr(error, "format_message", None)  # of Typer's errors about options
     text = plain_text(" ".join((usage() if usage else str(error)).split()))
     if usage:
+        text = text.replace("Value error, ", "")  # the mark of pydantic, with which Typer checks choices
         text = text or "Missing command"  # Typer prints the help of a group without a message
         return INPUT_AT_FAULT, f"{text} ({_example(error)}see --help)"
     if isinstance(error, InputError | ImportError):

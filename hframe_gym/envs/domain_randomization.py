@@ -258,6 +258,7 @@ RANDOMIZATION_PRESETS: dict[str, tuple[Rule, ...]] = {
     "wide": WIDE,
     "identified": (RandomizeIdentified(),),
 }
+_EXAMPLE = '[{"parameter": "x.mass", "distribution": ["uniform", 0.8, 1.2]}], which scales the declared mass'
 RandomizationLike: TypeAlias = (
     Literal["none", "default", "wide", "identified"] | Sequence[Rule | Mapping[str, Any]]
 )
@@ -277,6 +278,10 @@ def as_rules(randomize: RandomizationLike, names: Sequence[str]) -> tuple[Rule, 
     Raises:
         InputError: If the preset or a distribution is unknown, or an entry is not a rule or has an invalid argument.
     """
+    if isinstance(randomize, Mapping):
+        raise InputError(
+            f"randomize is {dict(randomize)!r}, one dict; write a list with one dict for each rule, such as {_EXAMPLE}"
+        )
     if isinstance(randomize, str) or not isinstance(randomize, Iterable):
         if randomize not in RANDOMIZATION_PRESETS:
             presets = ", ".join(RANDOMIZATION_PRESETS)
@@ -296,7 +301,7 @@ def _as_rule(entry: object) -> Rule:
         try:
             entry = RandomizeParameter(**arguments)
         except TypeError as error:
-            raise InputError(f"randomize: {arguments}: {error}") from None
+            raise InputError(f"randomize: {arguments}: {error}; write a list such as {_EXAMPLE}") from None
     if not isinstance(entry, RandomizeParameter | RandomizeIdentified):
         raise InputError(f"randomize: {entry!r} is neither a RandomizeParameter nor a RandomizeIdentified")
     if entry.when not in ("reset", "startup"):

@@ -30,11 +30,11 @@ def reset_keywords(
             finite, or is outside its limits or the workspace. Also if both `start` and `state` are given.
     """
     accepted = ("start", "target", "parameters", "state", *others)
-    listed = " and ".join(map(repr, accepted))
+    listed = f"{', '.join(map(repr, accepted[:-1]))} or {accepted[-1]!r}"
     if options is not None and not isinstance(options, Mapping):
-        raise InputError(f"reset: options is {options!r}, it must be a dict, with the keys {listed}")
+        raise InputError(f"reset: options is {options!r}, it must be a dict; its keys may be {listed}")
     if unknown := [name for name in options or () if name not in accepted]:
-        raise InputError(f"reset: unknown option {', '.join(map(repr, unknown))}; it takes {listed}")
+        raise InputError(f"reset: unknown option {', '.join(map(repr, unknown))}; choose {listed}")
     given = {name: value for name, value in (options or {}).items() if value is not None}
     keywords: dict[str, Any] = {}
     if "start" in given:

@@ -1,5 +1,8 @@
 """Rules, distributions and presets of domain randomization."""
 
+import json
+import re
+
 import numpy as np
 import pytest
 from scipy.stats import kstest, norm
@@ -42,6 +45,14 @@ def test_a_rule_can_be_a_mapping():
     assert as_rules([mapping], NAMES) == (RandomizeParameter("x.mass", Uniform(0.9, 1.1), when="startup"),)
     with pytest.raises(InputError, match="parametre"):
         as_rules([{"parametre": "x.mass"}], NAMES)
+
+
+@pytest.mark.parametrize("wrong", [{"x.mass": (0.8, 1.2)}, [{"x.mass": (0.8, 1.2)}]])
+def test_the_example_of_a_refusal_is_accepted(wrong):
+    with pytest.raises(InputError, match=r"such as \[\{") as refusal:
+        as_rules(wrong, NAMES)
+    (example,) = re.findall(r"\[\{.*?\}\]", str(refusal.value))
+    assert as_rules(json.loads(example), NAMES) == (RandomizeParameter("x.mass", Uniform(0.8, 1.2)),)
 
 
 @pytest.mark.parametrize(

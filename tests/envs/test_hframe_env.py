@@ -100,7 +100,10 @@ def test_reset_options_set_start_and_target():
     [
         ({"start": "here"}, r"options\['start'\] is 'here', it must be a position, numbers in m"),
         ({"start": (9.0, 0.0)}, r"options\['start'\] must be \(x, y\)"),
-        ([("start", (0.0, 0.0))], "it must be a dict, with the keys 'start' and 'target'"),
+        (
+            [("start", (0.0, 0.0))],
+            "it must be a dict; its keys may be 'start', 'target', 'parameters' or 'state'",
+        ),
         (5, "options is 5, it must be a dict"),
     ],
 )

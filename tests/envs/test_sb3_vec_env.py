@@ -105,7 +105,10 @@ def test_options_must_be_the_same_for_all():
     [
         ({"target": (9.0, 9.0)}, r"options\['target'\] must be \(x, y\) with x in"),
         ({"target": "far"}, r"options\['target'\] is \['far', 'far'\], it must be a position"),
-        ({"goal": (0.0, 0.0)}, "unknown option 'goal'; it takes 'start' and 'target'"),
+        (
+            {"goal": (0.0, 0.0)},
+            "unknown option 'goal'; choose 'start', 'target', 'parameters', 'state' or 'reset_mask'",
+        ),
         ([{"target": (0.0, 0.0)}], "give each of the 2 environments the same options"),
         (5, "set_options: 5 must be a dict, or a list"),
     ],

@@ -96,7 +96,7 @@ def test_the_command_writes_what_the_library_does(tmp_path: Path, capsys: pytest
             "kind of export 'state-spce' is unknown; choose one of .* did you mean 'state-space'",
         ),
         (["nobody", "--out", "x"], "kind of export 'nobody' is unknown"),
-        (["klipper", "--shaper", "best", "--out", "x"], "'best' is not one of 'zv', 'mzv', 'ei'"),
+        (["klipper", "--shaper", "best", "--out", "x"], "'--shaper': 'best' is not one of 'zv', 'mzv', 'ei'"),
         (
             ["state-space", "--at", "z=1", "--out", "x"],
             "--at z=1: write AXIS=POSITION with one of the axes x, y",

@@ -121,5 +121,5 @@ def test_an_unknown_agent_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_model_of_stable_baselines3_is_refused_as_such(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="a_ppo.zip: models of stable-baselines3 are not exported"):
+    with pytest.raises(InputError, match=r"a_ppo\.zip: models of stable-baselines3 are not exported"):
         exported("a_ppo.zip", "reach", tmp_path)
