@@ -15,13 +15,14 @@ def with_choices(text: str) -> str:
 def registered_choices() -> dict[str, str]:
     """List the names that some options accept, by their placeholder in the help texts: {"tasks": "reach, track"}.
 
-    Plugins are imported first. The placeholders are agents, algorithms, controllers, protocols, randomizations, sensors
-    and tasks.
+    Plugins are imported first. The placeholders are agents, algorithms, controllers, protocols, randomizations,
+    sensors, sensor_kinds and tasks.
     """
     from .agents import recipe_names, shipped_agent_names
     from .controllers import CONTROLLERS
     from .envs import RANDOMIZATION_PRESETS, SENSOR_PRESETS, TASKS
     from .evaluation import PROTOCOLS
+    from .machine import SENSOR_KINDS
 
     load_plugins()
     algorithms = sorted({name.rpartition("_")[0] for name in recipe_names()})
@@ -32,6 +33,7 @@ def registered_choices() -> dict[str, str]:
         "protocols": PROTOCOLS,
         "randomizations": RANDOMIZATION_PRESETS,
         "sensors": SENSOR_PRESETS,
+        "sensor_kinds": SENSOR_KINDS,
         "tasks": TASKS,
     }
     return {placeholder: ", ".join(names) for placeholder, names in choices.items()}

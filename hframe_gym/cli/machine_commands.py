@@ -11,7 +11,7 @@ import typer
 
 from ..errors import InputError
 from ..registry import PLUGIN_VARIABLE
-from .application import Application, CommandGroup, app
+from .application import Application, CommandGroup, CommandWithChoices, app
 from .options import MachineOption
 from .output import console, log
 
@@ -121,7 +121,7 @@ def print_schema() -> None:
     sys.stdout.write(json.dumps(machine_json_schema(), indent=1, ensure_ascii=False) + "\n")
 
 
-@machines_app.command("new")
+@machines_app.command("new", cls=CommandWithChoices)
 def new_machine_file(
     like: Annotated[
         str,
@@ -153,6 +153,12 @@ def new_machine_file(
     drive: Annotated[
         str, typer.Option(help="What is commanded: voltage, duty-cycle, current or torque.")
     ] = "",
+    sensor: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Further sensor, KIND@PART, e.g. speed@x or current@motor1 (repeat for more): {sensor_kinds}."
+        ),
+    ] = None,
     values: Annotated[
         list[str] | None, typer.Option("--set", help="PARAMETER=VALUE in SI, e.g. x.coulomb=2.")
     ] = None,
@@ -179,6 +185,7 @@ def new_machine_file(
         "encoder_lines": encoder_lines,
         "linear_sensor": linear_sensor,
         "drive": drive,
+        "sensor": sensor,
         "values": values,
     }
     given = {name: value for name, value in options.items() if value not in ("", None)}

@@ -70,10 +70,10 @@ def channel_unit(channel: str, machine: Machine) -> str:
 
 
 def command_in_words(value: float, drive: Drive, machine: Machine) -> str:
-    """Return a command of a drive, given in the unit of simulations, in the unit of its channel.
+    """Return a command of a drive in words, in the unit of its channel.
 
     Args:
-        value: Command as in `Recording.inputs`.
+        value: Command as in `Recording.inputs`, in the unit of simulations: V, A, Nm, or that of a set point.
         drive: Drive of the machine.
         machine: Declared machine.
 

@@ -6,7 +6,7 @@ import dataclasses
 import difflib
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,10 +18,13 @@ from ...machine import (
     DRIVE_KINDS,
     METERS,
     RADIANS,
+    SENSED_QUANTITIES,
+    SENSOR_KINDS,
     Drive,
     Machine,
     Sensor,
     rest_positions_per_axis,
+    summary,
 )
 from ...operating_system import quoted
 from .machine_json import machine_to_dict
@@ -176,6 +179,9 @@ _DRIVE_COMMENTS = {
 _LASER_COMMENT = (
     "A sensor with a fixed zero. noise: standard deviation at rest; resolution: 0 for an analog sensor."
 )
+_OTHER_SENSOR_COMMENT = (
+    "noise: standard deviation at rest, 0 if it is unknown; resolution: 0 for an analog sensor."
+)
 
 
 @dataclass(frozen=True)
@@ -198,6 +204,8 @@ class MachineOptions:
         linear_sensor: Whether sensors measure x and y (an axis: x).
         drive: What is commanded, for templates with DC motors: "voltage", "duty-cycle", "current" or "torque". The
             largest current or torque is that of the motor at rest at its rated voltage.
+        sensor: Further sensors, "KIND@PART" each: a kind of sensor, and the coordinate that it measures; for a current
+            the drive, for a belt force the belt. Their noise and resolution are 0 unless `values` has them.
         values: Further values by full name, SI, for example {"x.coulomb": 2.0, "x_m.noise": 1e-5}.
     """
 
@@ -212,6 +220,7 @@ class MachineOptions:
     encoder_lines: int | None = None
     linear_sensor: bool = True
     drive: str | None = None
+    sensor: Sequence[str] = ()
     values: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -310,6 +319,8 @@ def new_machine(like: str, name: str, options: MachineOptions) -> Machine:
     machine = machine.replace(drives=tuple(_commanded(d, options.drive) for d in machine.drives))
     if machine.drive_laws and machine.axis_unit is METERS:
         machine = machine.replace(drives=tuple(_reaching(machine, d) for d in machine.drives))
+    for text in options.sensor:
+        machine = machine.replace(sensors=(*machine.sensors, _further_sensor(machine, text)))
     if not machine.sensors:
         raise InputError(
             "no sensor is left: give the lines of encoders (--encoder-lines), or keep the linear sensor"
@@ -344,7 +355,7 @@ def write_machine_template(like: str, machine: Machine, path: Path) -> None:
         "coordinates": lambda entry: TEMPLATES[like].coordinates.get(entry["name"], _PULLEY_COMMENT),
         "belts": lambda entry: _BELT_COMMENT,
         "drives": lambda entry: _DRIVE_COMMENTS[entry.get("kind", "voltage")],
-        "sensors": lambda entry: _ENCODER_COMMENT if entry["kind"] == "encoder" else _LASER_COMMENT,
+        "sensors": lambda entry: _sensor_comment(entry["kind"]),
     }
     for key, comment in comments.items():
         content[key] = _commented(content[key], comment)
@@ -376,6 +387,12 @@ def compact_json(value: Any, indent: int = 0) -> str:
     return f"{opening}\n{pad}" + f",\n{pad}".join(lines) + f"\n{' ' * indent}{closing}"
 
 
+def _sensor_comment(kind: str) -> str:
+    """Return the comment on a sensor of a kind."""
+    known = {"encoder": _ENCODER_COMMENT, "laser": _LASER_COMMENT}
+    return known.get(kind) or f"{summary(SENSOR_KINDS.get(kind)).rstrip('.')}. {_OTHER_SENSOR_COMMENT}"
+
+
 def _commented(
     entries: list[dict[str, Any]], comment: Callable[[dict[str, Any]], str]
 ) -> list[dict[str, Any]]:
@@ -391,7 +408,7 @@ def _commented(
 
 def _check(like: str, machine: Machine, options: MachineOptions) -> None:
     """Check that options are positive and fit the template."""
-    applies = {question.option for question in template_questions(like)} | {"values"}
+    applies = {question.option for question in template_questions(like)} | {"sensor", "values"}
     if not machine.drive_laws:
         applies.add("drive")
     for info in dataclasses.fields(options):
@@ -410,7 +427,8 @@ def _check(like: str, machine: Machine, options: MachineOptions) -> None:
     driven_axes = {drive.coordinate for drive in machine.drives} & set(machine.tool_axes)
     for info in dataclasses.fields(options):
         value = getattr(options, info.name)
-        numbers = value if isinstance(value, tuple) else (value,) if isinstance(value, int | float) else ()
+        values = value if isinstance(value, tuple) else (value,)
+        numbers = [number for number in values if isinstance(number, int | float)]
         # A mass may include the rotor; the inertia of a pulley must be positive.
         included = info.name == "rotor_inertia" and driven_axes
         zero_allowed = included or info.name in ("encoder_lines", "linear_sensor")
@@ -526,6 +544,35 @@ def _sensors(
         quantum = 2 * math.pi / (_QUADRATURE * options.encoder_lines * drive.gear_ratio)
         encoders.append(Sensor(channel, {drive.coordinate: 1.0}, resolution=quantum, kind="encoder"))
     return (*encoders, *carriages)
+
+
+def _further_sensor(machine: Machine, text: str) -> Sensor:
+    """Return the sensor that a text KIND@PART describes; its channel is named by the part and ends in its unit."""
+    kind, separator, part = text.partition("@")
+    if not separator:
+        raise InputError(f"--sensor {text}: write KIND@PART, for example speed@{machine.tool_axes[0]}")
+    try:
+        component = SENSED_QUANTITIES[SENSOR_KINDS.get(kind).quantity()].component
+    except InputError as error:
+        raise InputError(f"--sensor {text}: {error}") from None
+    parts: dict[str, Sequence[str]] = {
+        "coordinate": machine.coordinate_names,
+        "drive": [drive.name for drive in machine.drives],
+        "belt": [belt.name for belt in machine.belts],
+    }
+    if part not in parts[component]:
+        available = (
+            f"choose one of {', '.join(parts[component])}" if parts[component] else "the machine has none"
+        )
+        raise InputError(
+            f"--sensor {text}: {kind} is measured at a {component}, and {part!r} is none; {available}"
+            f"{suggestion(part, parts[component])}"
+        )
+    ending = machine.sensor_unit(Sensor("", {part: 1.0}, kind=kind)).replace("^", "").replace("/", "_")
+    channel = f"{part}_{ending}"
+    if channel in machine.input_channels + machine.output_channels:
+        channel = f"{part}_{kind.replace('-', '_')}_{ending}"
+    return Sensor(channel, {part: 1.0}, kind=kind)
 
 
 def _with_values(machine: Machine, values: Mapping[str, float]) -> Machine:

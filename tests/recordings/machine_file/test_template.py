@@ -13,7 +13,7 @@ import pytest
 from hframe_gym.dynamics import mode_frequencies
 from hframe_gym.errors import InputError
 from hframe_gym.evaluation import evaluate
-from hframe_gym.machine import BUILTIN_MACHINES, motion_limits, rigid_motions
+from hframe_gym.machine import BUILTIN_MACHINES, SENSOR_KINDS, motion_limits, rigid_motions
 from hframe_gym.recordings import TEMPLATES, MachineOptions, load_machine, new_machine, write_machine_template
 
 
@@ -56,6 +56,38 @@ def test_a_motor_with_another_command_keeps_its_largest_force(
     drive = machine.drives[0]
     assert (drive.Kt, drive.Ke, drive.resistance, drive.rated_voltage) == values
     assert motion_limits(machine)["x"].force == pytest.approx(motion_limits(voltage)["x"].force)
+
+
+FURTHER_SENSORS = [  # template, option, channel, unit
+    ("corexy", "speed@x", "x_m_s", "m/s"),
+    ("corexy", "unsigned-speed@phi1", "phi1_rad_s", "rad/s"),
+    ("corexy", "acceleration@y", "y_m_s2", "m/s^2"),
+    ("corexy", "current@motor1", "motor1_A", "A"),
+    ("corexy", "belt-force@belt1_short", "belt1_short_N", "N"),
+    ("corexy", "laser@x", "x_laser_m", "m"),  # x_m exists
+    ("motor", "absolute-angle@shaft", "shaft_absolute_angle_rad", "rad"),
+    ("servo", "encoder@horn", "horn_encoder_rad", "rad"),
+]
+
+
+@pytest.mark.parametrize(("like", "sensor", "channel", "unit"), FURTHER_SENSORS)
+def test_a_sensor_of_each_kind_can_be_added(
+    like: str, sensor: str, channel: str, unit: str, tmp_path: Path
+) -> None:
+    options = MachineOptions(sensor=(sensor,), values={f"{channel}.noise": 0.01})
+    write_machine_template(like, new_machine(like, "mine", options), tmp_path / "m.json")
+    machine = load_machine(tmp_path / "m.json")
+    added = machine.sensor(channel)
+    kind, _, part = sensor.partition("@")
+    assert (added.kind, added.row, added.noise) == (kind, {part: 1.0}, 0.01)
+    assert machine.sensor_unit(added) == unit
+    assert machine.output_channels[:-1] == new_machine(like, "mine", MachineOptions()).output_channels
+
+
+def test_the_further_sensors_are_of_all_kinds_of_this_package() -> None:
+    assert {sensor.partition("@")[0] for _, sensor, *_ in FURTHER_SENSORS} == {
+        name for name in SENSOR_KINDS if SENSOR_KINDS.get(name).__module__.startswith("hframe_gym.")
+    }
 
 
 def test_options_of_a_corexy_machine() -> None:
@@ -189,6 +221,14 @@ def test_a_preset_reaches_its_goals_with_the_controller_for_its_drives(name: str
         ("corexy", {"encoder_lines": 0, "linear_sensor": False}, "no sensor is left"),
         ("corexy", {"drive": "curent"}, "did you mean 'current'?"),
         ("servo", {"drive": "current"}, "--drive: servo has none"),
+        ("axis", {"sensor": ("speed",)}, "--sensor speed: write KIND@PART, for example speed@x"),
+        ("axis", {"sensor": ("sped@x",)}, "--sensor sped@x: sensor kind 'sped' is unknown"),
+        (
+            "corexy",
+            {"sensor": ("current@x",)},
+            "is measured at a drive, and 'x' is none; choose one of motor1",
+        ),
+        ("axis", {"sensor": ("belt-force@left",)}, "'left' is none; the machine has none"),
         ("corexy", {"values": {"x.mas": 1.0}}, "--set x.mas: there is no such parameter; there are x.mass"),
         ("corexy", {"values": {"belt1_long.EA": 1.0}}, "tied to belt1_short.EA"),
     ],
