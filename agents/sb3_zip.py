@@ -173,11 +173,12 @@ def _load(path: Path) -> Any:
 
 
 def _check_scaling(name: str, model: Any) -> None:
-    """Raise InputError if `VecNormalize` scaled the observations of the training; warn if only that is unknown.
+    """Raise InputError if `VecNormalize` scaled the observations of the training; warn if it may have scaled them.
 
     Its statistics are not in the file, but the last observations are: scaled to a standard deviation of 1, they leave
-    the observation space, which `VecNormalize` does not change. The original observations are there as well; algorithms
-    without a replay buffer have them of `VecNormalize` only, which may have scaled nothing but the rewards.
+    the observation space, which `VecNormalize` does not change, and observations of the environment never do. Where
+    they do not, an algorithm without a replay buffer has original observations only if there was a `VecNormalize`,
+    which may have scaled nothing but the rewards.
     """
     last, space = getattr(model, "_last_obs", None), model.observation_space
     advice = (
@@ -186,8 +187,8 @@ def _check_scaling(name: str, model: Any) -> None:
     )
     if last is not None and not _within(space, last):
         raise InputError(
-            f"{name}: was trained on observations that VecNormalize scaled; its statistics, without which the actions "
-            f"mean nothing, are not in this file. {advice}"
+            f"{name}: was trained on observations that were scaled, as by VecNormalize: they lie outside their space. The "
+            f"statistics, without which the actions mean nothing, are not in this file. {advice}"
         )
     has_replay = hasattr(model, "replay_buffer")
     if not has_replay and getattr(model, "_last_original_obs", None) is not None:

@@ -135,7 +135,7 @@ def trained(path: Path, algorithm: str, options: dict[str, Any], scaling: dict[s
 
 
 _UNKNOWN = pytest.warns(UserWarning, match="VecNormalize, whose statistics are not in this file")
-_SCALED = pytest.raises(InputError, match="was trained on observations that VecNormalize scaled")
+_SCALED = pytest.raises(InputError, match="was trained on observations that were scaled")
 
 
 @pytest.mark.parametrize(
