@@ -187,8 +187,8 @@ def _check_scaling(name: str, model: Any) -> None:
     )
     if last is not None and not _within(space, last):
         raise InputError(
-            f"{name}: was trained on observations that were scaled, as by VecNormalize: they lie outside their space. The "
-            f"statistics, without which the actions mean nothing, are not in this file. {advice}"
+            f"{name}: was trained on observations that were scaled, as by VecNormalize: they lie outside their space. "
+            f"The statistics, without which the actions mean nothing, are not in this file. {advice}"
         )
     has_replay = hasattr(model, "replay_buffer")
     if not has_replay and getattr(model, "_last_original_obs", None) is not None:
