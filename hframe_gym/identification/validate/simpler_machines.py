@@ -269,7 +269,8 @@ def descriptions(
     current = dataclasses.replace(start, bandwidth=SIMULATION, cost=cost, count=equal.count)
     selected: tuple[SelectedEffect, ...] = ()
     for count in range(1, _MAX_EFFECTS + 1):
-        effort = dataclasses.replace(criteria, max_effects=count, max_full_fits=_TRIALS)
+        # A description names no cause: an effect may well correct an error in the form of another one.
+        effort = dataclasses.replace(criteria, max_effects=count, max_full_fits=_TRIALS, max_form_error=0.0)
         search = EffectSearch(equal, start.machine, effort, log)
         try:
             with stage.limiting():

@@ -178,6 +178,20 @@ def test_what_is_left_is_described_in_simulation_without_naming_a_cause() -> Non
     assert not list(descriptions(plain.simulated, data, SelectionCriteria(), print, Budget(0.0)))
 
 
+def test_a_description_may_correct_the_form_of_its_first_effect() -> None:
+    """A spring, and friction that adds a tenth of its force over the same position: both true, a third is missing."""
+    true = axis(TRUE).with_effects(
+        EFFECTS["cable_spring"].at("x", k=60.0, q0=0.0),
+        EFFECTS["friction_slope"].at("x", s=6.0),
+        EFFECTS["quadratic_drag"].at("x", c=3.0),
+    )
+    data = prepare(measure(true), axis(TRUE))
+    plain = plain_fit(axis(TRUE), data)
+    assert plain is not None
+    *_, (_, labels) = descriptions(plain.simulated, data, SelectionCriteria(), print, Budget())
+    assert labels == ("cable_spring@x", "friction_slope@x")
+
+
 @pytest.mark.parametrize(
     ("lacking", "without", "only_complete_runs"),
     [(0.80, 0.06, True), (0.03, 0.06, False), (None, 0.06, False), (0.80, None, False)],
