@@ -55,9 +55,8 @@ def clock_impulses(time_s: Array, inputs: Array, outputs: Array) -> Array:
     for drive, of_drive in enumerate(changes.T):
         used = _without_jumps(of_drive, even & (of_drive != 0.0))
         if used.sum() >= _MIN_ROWS:
-            answer = np.linalg.lstsq(read[used], of_drive[used], rcond=None)[
-                0
-            ]  # V per m or rad of each sensor
+            # The answer to each sensor, V/m or V/rad.
+            answer, *_ = np.linalg.lstsq(read[used], of_drive[used], rcond=None)
             nothing[:, drive] = -variance * (speeds @ answer)
     return nothing
 
