@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from ..identification.budget import Budget
 
 _SECONDS_BETWEEN_RECORDS = 0.2  # s; a person does not see changes that are faster
-_SECONDS_BETWEEN_LINES = 10.0  # of processor time, where progress is no line at the bottom of a terminal
+_SECONDS_BETWEEN_LINES = 10.0  # s of processor time, where the output is a file or a pipe
 # What the user's Ctrl-C sends, and what another program sends in its place on Windows.
 _INTERRUPTS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGBREAK") if hasattr(signal, name))
 
@@ -34,7 +34,7 @@ def progress_bar(description: str) -> Iterator[Callable[[int, int], None]]:
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
     if progress_records.requested():
-        record = _progress_records()
+        record = _record_printer()
         yield lambda done, total: record(doing=description, done=done, total=total)
         return
     columns = TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn()
@@ -43,8 +43,8 @@ def progress_bar(description: str) -> Iterator[Callable[[int, int], None]]:
         yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
-def _progress_records() -> Callable[..., None]:
-    """Return a function that prints its keyword arguments as a record of progress, at most five in a second."""
+def _record_printer() -> Callable[..., None]:
+    """Return a function that prints its keyword arguments as a record, at most five a second and the last one."""
     last = -math.inf
 
     def record(**values: float | str | None) -> None:
@@ -70,7 +70,7 @@ def search_progress(log: Callable[[str], None]) -> Iterator[Callable[[str, float
     from ..identification.budget import error_so_far
 
     if progress_records.requested():
-        record = _progress_records()
+        record = _record_printer()
         yield lambda doing, spent, seconds: record(
             doing=doing, spent=spent, budget=seconds if math.isfinite(seconds) else None, error=error_so_far()
         )
@@ -83,7 +83,7 @@ def search_progress(log: Callable[[str], None]) -> Iterator[Callable[[str, float
         with console.status("preparing the recordings") as status:
             yield lambda *step: status.update(plain_text(line(*step)).replace("[", "\\["))
         return
-    printed = 0.0
+    printed = 0.0  # processor time at the last line, s
 
     def print_line(doing: str, spent: float, seconds: float) -> None:
         nonlocal printed
@@ -110,6 +110,7 @@ def finishing_on_interrupt(budget: Budget) -> Iterator[None]:
             previous(number, frame)
             return
         budget.stop()
+        # Directly to standard error: the signal may arrive while Python's streams print.
         os.write(2, b"hframe: interrupted; testing what was found so far (Ctrl-C again: end at once)\n")
 
     earlier = {number: signal.getsignal(number) for number in _INTERRUPTS}

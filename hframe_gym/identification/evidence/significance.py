@@ -289,15 +289,23 @@ def sizes(effect: AppliedEffect, machine: Machine) -> tuple[Size, ...]:
         if not p.amplitude or f"{effect.label}.{p.name}" not in index:
             continue
         others = (f"{effect.label}.{other.name}" for other in effect.definition.parameters if other is not p)
-        names = [*others, *scaled]
-        rows = [index[f"{effect.label}.{p.name}"], *(index[name] for name in names if name in index)]
-        # The first entry of the inverse of a covariance is the precision beside fixed values of the others.
-        scale = np.maximum(np.sqrt(np.diag(uncertainty.covariance)[rows]), 1e-300)
-        correlation = uncertainty.covariance[np.ix_(rows, rows)] / np.outer(scale, scale)
-        precision = np.linalg.pinv(correlation, hermitian=True)[0, 0]
-        std = float(scale[0] / math.sqrt(precision))
+        names = [f"{effect.label}.{p.name}", *others, *scaled]
+        rows = [index[name] for name in names if name in index]
+        std = _std_beside_fixed_values(uncertainty.covariance[np.ix_(rows, rows)])
         found.append(Size(p.name, machine.effect_unit(effect, p.name), effect.parameters[p.name], std))
     return tuple(found)
+
+
+def _std_beside_fixed_values(covariance: Array) -> float:
+    """Return the standard deviation that the first parameter has if the others are held, 0 if it has none."""
+    scale = np.sqrt(np.diag(covariance))
+    if not scale[0] > 0.0:
+        return 0.0
+    free = scale > 0.0
+    correlation = covariance[np.ix_(free, free)] / np.outer(scale[free], scale[free])
+    to_first = correlation[1:, 0]
+    explained = float(to_first @ np.linalg.lstsq(correlation[1:, 1:], to_first, rcond=None)[0])
+    return float(scale[0] * math.sqrt(max(1.0 - explained, 0.0)))  # below 0 by rounding only
 
 
 def _chance(without: Fit, with_effect: Fit, effect: AppliedEffect, data: Dataset) -> Chance:

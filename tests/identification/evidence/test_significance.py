@@ -208,6 +208,17 @@ def test_the_size_of_an_effect_is_as_certain_as_its_form_permits() -> None:
     assert sizes(EFFECTS["current_limit"].at("motor1", I=1.0), machine) == ()
 
 
+@pytest.mark.parametrize(("std_of_speed", "std_of_size", "expected"), [(0.0, 5.0, 5.0), (0.05, 0.0, 0.0)])
+def test_parameters_without_a_variance_were_held(
+    std_of_speed: float, std_of_size: float, expected: float
+) -> None:
+    friction = EFFECTS["stribeck_friction"].at("x", dF=2.0, vs=0.03)
+    names = ("stribeck_friction@x.vs", "stribeck_friction@x.dF")
+    uncertainty = Uncertainty(names, np.diag([std_of_speed**2, std_of_size**2]))
+    (size,) = sizes(friction, HFRAME.with_effects(friction).replace(uncertainty=uncertainty))
+    assert size.std == expected
+
+
 def test_an_effect_in_proportion_to_an_uncertain_coefficient_may_be_certain() -> None:
     """Viscous friction and back-EMF act alike; how much friction differs between the directions is known anyway."""
     drag = EFFECTS["asymmetric_viscous"].at("phi1", a=0.3)
