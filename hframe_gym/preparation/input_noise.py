@@ -17,6 +17,7 @@ import numpy as np
 from ..arrays import Array
 from ..machine import Machine
 from ..recordings import Recording
+from ..robust_statistics import white_noise
 
 # Fraction of an input's root mean square. Current sensors of amplifiers have 0.1 to 2 %; a recorded motor whose current
 # had 20 % was simulated eight times as well with a current that was smoothed.
@@ -24,8 +25,6 @@ MUCH_NOISE = 0.05
 # Length of the centered average, s: the time constant of the widest observer (60 rad/s). What an input does within
 # it cannot be seen in the motion, so that the average loses nothing else.
 SMOOTHING_TIME = 1.0 / 60.0
-# The median of |u[k+1] - 2 u[k] + u[k-1]| of white noise is this multiple of its standard deviation.
-_MEDIAN_SECOND_DIFFERENCE = 0.6745 * np.sqrt(6.0)
 # Measurements that a controller combines: the present one and those of the four rows before.
 _ANSWERED_ROWS = 5
 # Fraction of an input's fast changes that measurements must explain. A measured current of a motor has 0.001, the
@@ -47,9 +46,7 @@ def noise_of_input(values: Array) -> float:
     Returns:
         Standard deviation, in the unit of the input; 0 for fewer than three rows.
     """
-    return (
-        float(np.median(np.abs(np.diff(values, 2)))) / _MEDIAN_SECOND_DIFFERENCE if len(values) > 2 else 0.0
-    )
+    return white_noise([values], 2)
 
 
 def answers_measurements(values: Array, outputs: Array) -> bool:

@@ -10,6 +10,7 @@ from scipy.signal import savgol_coeffs, savgol_filter
 
 from ..arrays import Array
 from ..recordings import quantum_of
+from ..robust_statistics import white_noise
 
 _CURVE_ROWS = 21  # Measurements of a curve; in slow motion, they extend over several quanta.
 _ROUNDING_ACCURACY = 1.2  # Rounding alone is estimated up to 12 % too large.
@@ -96,10 +97,10 @@ def difference_noise(channel: Sequence[Array]) -> float:
     Returns:
         Standard deviation, m or rad, at least 1e-12. If no run has four measurements, 1.
     """
-    differences = np.concatenate([np.diff(values[np.isfinite(values)], n=3) for values in channel])
-    if len(differences) == 0:
+    measured = [values[np.isfinite(values)] for values in channel]
+    if all(len(values) <= 3 for values in measured):
         return 1.0
-    return max(1.4826 * float(np.median(np.abs(differences))) / np.sqrt(20.0), 1e-12)
+    return max(white_noise(measured, 3), 1e-12)
 
 
 def _curve_noise(channel: Sequence[Array]) -> float:

@@ -12,6 +12,7 @@ import numpy as np
 
 from ..arrays import Array
 from ..machine import Machine
+from ..robust_statistics import std_by_median
 from .belt_stretch import max_held_angle
 from .dataset import Dataset
 from .encoder_zeros import MAX_SCATTER, EncoderZeros
@@ -51,8 +52,7 @@ def common_encoder_zeros(initial: Sequence[InitialState], machine: Machine, quan
     )
     median = np.median(by_run, axis=0)  # (sensors,)
     deviation = np.abs(by_run - median)  # (runs, sensors)
-    # Standard deviation from the median absolute deviation, which single deviating runs do not change.
-    spread = 1.4826 * np.median(deviation, axis=0)
+    spread = std_by_median(deviation, axis=0)  # single deviating runs do not change it
     limit = np.maximum(max_held_angle(machine), 2 * quanta)
     # It is zero if more than half of the runs start where nothing stretches the belts. The others show the stretch.
     kept = deviation <= limit + MAX_SCATTER * spread

@@ -21,7 +21,7 @@ from benchmarks.judgments import (
 from hframe_gym.identification import Fit, SelectionCriteria
 from hframe_gym.identification.judge import error, observer, table
 from hframe_gym.identification.judge.error import FitError
-from hframe_gym.identification.search import search_effects
+from hframe_gym.identification.search import model_search
 from tests.identification.scripted_fits import fit_with
 
 WITHOUT, WITH = FitError(3e4, 1e4), FitError(2.7e4, 1e4)
@@ -35,10 +35,10 @@ def record_of(judgments: list[Judgment]) -> Record:
 def test_a_limit_that_another_rule_compares_is_computed_again() -> None:
     """The gain of 0.3 is enough for a tenth of the excess, which is 0.2, but not for a fifth."""
     with recorded() as judgments:
-        enough = search_effects.required_gain(WITHOUT, SelectionCriteria())
-        assert search_effects.is_enough(WITHOUT, WITH, enough)
+        enough = model_search.required_gain(WITHOUT, SelectionCriteria())
+        assert model_search.is_enough(WITHOUT, WITH, enough)
     assert [j.rule for j in judgments] == ["required_gain", "is_enough"]
-    assert search_effects.is_enough is error.is_enough
+    assert model_search.is_enough is error.is_enough
     record = record_of(judgments)
     assert list(changed_judgments([record], {})) == []
     with changed(Threshold("min_gain_fraction"), 2.0) as changes:

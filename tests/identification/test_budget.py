@@ -21,7 +21,7 @@ from hframe_gym.identification.budget import (
     stage_ends,
 )
 from hframe_gym.identification.fit.estimation import Fit
-from hframe_gym.identification.search import search_effects
+from hframe_gym.identification.search import model_search, search_effects
 from hframe_gym.machine import BUILTIN_MACHINES
 from tests.identification.single_axis import AXIS, axis_runs, limited_runs
 
@@ -217,7 +217,7 @@ def test_the_judgment_of_a_search_that_ended_early_is_part_of_its_tests(
         if doing == "comparing rivals":
             seconds[0] = stage_ends(AXIS).search
 
-    monkeypatch.setattr(search_effects, "refined_in_simulation", slow)
+    monkeypatch.setattr(model_search, "refined_in_simulation", slow)
     budget = Budget(1.0, clock=lambda: seconds[0], progress=progress)
     outcome = search_effects.search_effects(
         AXIS, data, SelectionCriteria(max_effects=1), lambda line: None, budget=budget

@@ -15,7 +15,7 @@ from ...preparation.dataset import Dataset, with_known_positions
 from ...preparation.excerpt import LARGEST_FIT, describe_part, representative_part
 from ..budget import SECOND_SEARCH_PART, Budget, stage_ends
 from ..evidence.held_out import contradicting_held_out_runs, held_out_gain, is_excited, worsens_simulation
-from ..evidence.tried_effects import ConsideredEffect, Log, SelectedEffect
+from ..evidence.tried_effects import Log
 from ..fit.estimation import Fit, fit
 from ..fit.lost_voltages import with_lost_voltages
 from ..fit.plain_fit import PlainFit, better_start, plain_fit
@@ -25,13 +25,14 @@ from ..fit.voltage_updates import VoltagesChangeError, voltage_updates
 from ..judge.criteria import SelectionCriteria
 from ..judge.held_out import HeldOutEffect, refuted_effects
 from ..judge.run import MIN_RUNS_COMPARED, differs_alone, exchanges_held_out
-from ..judge.verdict import verdict_after_removal
 from ..predict.free_parameters import default_free_parameters
 from ..predict.prediction import SEARCH_BANDWIDTH
 from ..predict.voltage_errors import with_voltage_errors
 from ..propose.trial_fits import without_effect
 from .input_timing import with_input_timing
-from .search_effects import SearchOutcome, fitted_to_all_rows, search_effects
+from .model_search import fitted_to_all_rows
+from .outcome import SearchOutcome, with_removed
+from .search_effects import search_effects
 
 _CONTRADICTION = (
     "{} is not used: the other runs agree with one machine to within their noise, and this run contradicts it. Check "
@@ -346,27 +347,3 @@ def without_unconfirmed(outcome: SearchOutcome, validation: Dataset, log: Log) -
             break
         outcome = with_removed(outcome, weakest, reduced, reason, log)
     return outcome
-
-
-def with_removed(
-    outcome: SearchOutcome, removed: SelectedEffect, reduced: Fit, reason: str, log: Log
-) -> SearchOutcome:
-    """Return an outcome without one of its effects, which is listed as considered.
-
-    Args:
-        outcome: Outcome of a search.
-        removed: The effect.
-        reduced: Fit without it.
-        reason: Why it is removed, a clause that follows "it ".
-        log: Called with a line of text.
-    """
-    log(f"  {removed.effect.label} is removed: it {reason}")
-    entry = ConsideredEffect(removed.effect, outcome.after.machine, reduced.machine, reason)
-    selected = tuple(s for s in outcome.selected if s is not removed)
-    after = reduced if selected else outcome.before
-    return outcome._replace(
-        verdict=verdict_after_removal(outcome.verdict, bool(selected), outcome.before_explains),
-        after=after,
-        selected=tuple(s.with_values(after.machine) for s in selected),
-        considered=(*outcome.considered, entry),
-    )

@@ -28,7 +28,7 @@ from ..predict.prediction import LONGEST_OBSERVER_PERIOD, SEARCH_BANDWIDTH
 from ..propose.candidates import SearchState, candidates
 from ..propose.screening import screen
 from ..propose.trial_fits import converge, fit_with_candidate
-from .search_effects import SearchOutcome
+from .outcome import SearchOutcome
 
 # Bandwidth times sampling period of the observer that judges. It is that of the search at the longest period.
 _RATE = SEARCH_BANDWIDTH * LONGEST_OBSERVER_PERIOD

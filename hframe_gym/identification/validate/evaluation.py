@@ -36,8 +36,7 @@ from ..predict.start_uncertainty import prediction_residuals
 from ..predict.voltage_errors import simulation_error
 from ..propose.dependences import are_causes, rank_dependences
 from ..propose.trial_fits import without_effect
-from ..search.checked_search import with_removed
-from ..search.search_effects import SearchOutcome
+from ..search.outcome import SearchOutcome, with_removed
 from .machine_errors import ModelEvaluation, PredictionErrors, evaluate_held_out
 
 

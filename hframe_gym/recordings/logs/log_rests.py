@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ...arrays import Array
 from ...errors import InputError
 from ...machine import Machine
+from ...robust_statistics import white_noise
 from ..recording import Recording
 
 # A channel is at rest while its peak-to-peak variation is below a tolerance, the largest of:
@@ -137,7 +138,4 @@ def _variation_at_rest(values: Array) -> float:
     """Estimate the peak-to-peak variation of a channel at rest from its noise and its smallest step."""
     changes = np.abs(np.diff(values))
     step = float(np.min(changes, where=changes > 0.0, initial=np.inf))
-    # Second differences remove slow motion; those of white noise have sqrt(6) times its standard deviation, which is
-    # 1.4826 times the median of the absolute values.
-    noise = 1.4826 * float(np.median(np.abs(np.diff(values, 2)))) / np.sqrt(6.0) if len(values) > 2 else 0.0
-    return max(_REST_STEPS * step if np.isfinite(step) else 0.0, _REST_NOISE * noise)
+    return max(_REST_STEPS * step if np.isfinite(step) else 0.0, _REST_NOISE * white_noise([values], 2))

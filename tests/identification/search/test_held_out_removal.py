@@ -24,7 +24,7 @@ from hframe_gym.identification.evidence.held_out import (
 from hframe_gym.identification.predict.prediction import SIMULATION
 from hframe_gym.identification.propose.trial_fits import without_effect
 from hframe_gym.identification.search.checked_search import _contradicting_runs, without_unconfirmed
-from hframe_gym.identification.search.search_effects import SearchOutcome
+from hframe_gym.identification.search.outcome import SearchOutcome
 from hframe_gym.identification.validate.evaluation import _certain
 from hframe_gym.machine import Machine
 from hframe_gym.recordings import Recording

@@ -14,7 +14,7 @@ from hframe_gym.identification.judge.chance import LongRunVariance
 from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH
 from hframe_gym.identification.search import input_timing
 from hframe_gym.identification.search.input_timing import with_input_timing
-from hframe_gym.identification.search.search_effects import SearchOutcome
+from hframe_gym.identification.search.outcome import SearchOutcome
 from tests.identification.scripted_fits import COUNT, CRITERIA, PUSH, fit_with, runs, selected
 
 DELAY = EFFECTS["input_delay"].at("drives", d=2e-4)

@@ -12,7 +12,9 @@ import pytest
 from hframe_gym.effects import EFFECTS
 from hframe_gym.effects.smooth_table import KNOTS, definition
 from hframe_gym.identification import Fit, SelectedEffect, SelectionCriteria
+from hframe_gym.identification.search import model_search
 from hframe_gym.identification.search import search_effects as search
+from hframe_gym.identification.search.outcome import SearchOutcome
 from hframe_gym.machine import AppliedEffect, Machine
 from hframe_gym.preparation.dataset import RunObserver
 from tests.identification.scripted_fits import (
@@ -27,7 +29,7 @@ from tests.identification.scripted_fits import (
 
 
 class ScriptedSearch:
-    """Replaces what `search_effects` calls: fits have the chi-squared that `chi2_of` gives by the effects' labels."""
+    """Replaces what the search calls: fits have the chi-squared that `chi2_of` gives by the effects' labels."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.before, self.after = 10.0, 10.0
@@ -106,10 +108,12 @@ class ScriptedSearch:
             "best_by_run": lambda fitted, data: script.differences,
             "EffectSearch": FakeEffectSearch,
         }
-        for name, function in replaced.items():
-            monkeypatch.setattr(search, name, function)
+        for module in (search, model_search):
+            for name, function in replaced.items():
+                if hasattr(module, name):
+                    monkeypatch.setattr(module, name, function)
 
-    def run(self) -> search.SearchOutcome:
+    def run(self) -> SearchOutcome:
         """Search in four runs."""
         return search.search_effects(AXIS, runs("abcd"), CRITERIA, lambda line: None)
 
@@ -270,7 +274,7 @@ def test_all_runs_are_used_if_held_out_runs_do_not_confirm_that_one_is_wrong(
     scripted_search.suspect, scripted_search.of_all_runs = "c", 101.0
     shown: list[str | None] = []
 
-    def confirms(outcome: search.SearchOutcome) -> bool:
+    def confirms(outcome: SearchOutcome) -> bool:
         shown.append(outcome.contradiction)
         return confirmed
 

@@ -1,0 +1,488 @@
+"""The search for a machine that explains some runs: refit, effects of the library, then tables, and the verdict."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cache, cached_property
+from typing import NamedTuple
+
+from ...effects.smooth_table import TABLE_FAMILY
+from ...machine import HOOKS, Effect, Machine, argument_names
+from ...preparation.dataset import Dataset
+from ..budget import Budget, BudgetEndedError, spend, stage_ends
+from ..evidence.significance import curves_of_one_variable, parameter_values
+from ..evidence.tried_effects import ConsideredEffect, Log, SelectedEffect, Selection
+from ..fit.estimation import Fit, fit, prediction_cost
+from ..fit.lost_voltages import estimate_lost_voltages
+from ..fit.model_error import (
+    continue_fit,
+    fit_with_model_error,
+    polish,
+    refined_in_simulation,
+)
+from ..fit.run_differences import RunDifferences, best_by_run, find_run_differences
+from ..fit.run_observers import fit_run_by_run
+from ..fit.slow_logs import fit_slow_log
+from ..fit.start_estimation import refine_dataset
+from ..judge.criteria import SelectionCriteria
+from ..judge.effect import parameter_at_limit
+from ..judge.error import FitError, explains, is_enough, nearly_explains, required_gain
+from ..judge.table import TableEvidence, accepts_table, is_one_curve
+from ..judge.verdict import (
+    DriftEvidence,
+    PartialEvidence,
+    Verdict,
+    imitates_drift,
+    verdict_of_effects,
+    verdict_of_rest,
+)
+from ..predict.free_parameters import default_free_parameters
+from ..predict.prediction import SEARCH_BANDWIDTH, SIMULATION
+from ..propose.trial_fits import without_effect
+from .forward_selection import EffectSearch
+from .outcome import SearchOutcome
+from .tables import add_tables, fit_with_moved_knots
+
+
+class Found(NamedTuple):
+    """What a search found in the runs to which it fits.
+
+    Attributes:
+        fitted: Fit of the machine with the selected effects; of the refitted machine, if there are none.
+        effects: The selected effects.
+        considered: Effects that failed a test.
+    """
+
+    fitted: Fit
+    effects: tuple[SelectedEffect, ...] = ()
+    considered: tuple[ConsideredEffect, ...] = ()
+
+
+class ModelSearch:
+    """The search for a machine that explains some runs: refit, effects, tables, verdict.
+
+    Args:
+        machine: Machine as declared.
+        data: Runs to fit.
+        criteria: Decision thresholds.
+        log: Called with a line at each stage.
+        refitted: Fit of the machine to these runs at `SEARCH_BANDWIDTH`, if it is known already.
+        before: The same at the bandwidth that its remaining error requires.
+
+    Attributes:
+        base: Machine refitted at `SEARCH_BANDWIDTH`.
+        before: Machine refitted at the bandwidth that its remaining error requires.
+        suspect: Name of the run that was left out; None if there is none.
+    """
+
+    suspect: str | None = None
+
+    def __init__(
+        self,
+        machine: Machine,
+        data: Dataset,
+        criteria: SelectionCriteria,
+        log: Log,
+        refitted: Fit | None = None,
+        before: Fit | None = None,
+    ) -> None:
+        self._data, self._criteria, self._log = data, criteria, log
+        self._data_after = data  # with the initial states and zeros that follow from the machine with effects
+        self._refinements: list[tuple[Fit, Fit]] = []  # pairs of a fit and the same refined, which takes long
+        self._searches: list[EffectSearch] = []  # one after the other
+        # With the widest observer bandwidth first: it tolerates a model that is still wrong.
+        self.base = refitted or fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
+        log(f"refitted machine: {self.base.summary}")
+        self.before = before or polish(fit_with_model_error(self.base, data), data)
+        if self.before.bandwidth != self.base.bandwidth:
+            log(f"refitted machine: {self.before.summary}")
+
+    @cached_property
+    def _first_search(self) -> EffectSearch:
+        """Search that starts from the refitted machine, without effects."""
+        return self._new_search(EffectSearch(self._data, self.before.machine, self._criteria, self._log))
+
+    def _new_search(self, search: EffectSearch) -> EffectSearch:
+        """Return a search, and remember it as the present one."""
+        self._searches.append(search)
+        return search
+
+    @cached_property
+    def selection(self) -> Selection:
+        """Machine with the effects that are selected one after the other; they are not yet tested beside each other."""
+        self._log("searching for effects")
+        return self._first_search.run(self.before)
+
+    def run(self, start: Selection | None = None) -> SearchOutcome:
+        """Search for effects, then for tables if no known effects explain the residual.
+
+        Args:
+            start: Fit with effects that are known already. Default: the refitted machine, without effects.
+        """
+        if start is not None:
+            self._log("searching for further effects")
+        found = self._within_limits(self._known_effects(start))
+        if tabled := self._in_place_of_curves(found):
+            return self._outcome("effect_found", tabled)
+        if decided := self._decided(found):
+            return decided
+        tabled = None if self.runs_differ else self._with_tables(found)
+        return self._outcome("effect_found", tabled) if tabled else self._partial(found)
+
+    def fitted(self, found: SearchOutcome) -> SearchOutcome:
+        """Return the outcome of effects and tables that were found in a part of the rows, fitted to all of them.
+
+        Args:
+            found: Outcome of a search in a part of the rows.
+        """
+        after = self.before
+        if found.selected:
+            self._data_after = refine_dataset(self._data, found.after.machine)
+            after = polish(
+                continue_fit(found.after, self._data_after, found.after.bandwidth), self._data_after
+            )
+        # The search has chosen their observers.
+        self._refinements += [(self.before, self.before), (after, after)]
+        complete = self._within_limits(Found(after, found.selected, found.considered))
+        if decided := self._decided(complete):
+            return decided
+        if any(s.effect.definition.family == TABLE_FAMILY for s in complete.effects):
+            return self._outcome(found.verdict, complete)
+        return self._partial(complete)
+
+    def finished_early(self, tests: Budget) -> SearchOutcome:
+        """Return the outcome of what was selected when the budget ended, after the same tests beside each other.
+
+        The tests include the fits in simulation by which effects that leave an error are judged.
+
+        Args:
+            tests: What is left of the budget for these tests.
+        """
+        search = self._searches[-1] if self._searches else None
+        after, effects = (search and search.reached) or (self.before, ())
+        untested: tuple[ConsideredEffect, ...] = ()
+        if search and effects:
+            for s in effects:
+                search.considered.pop(s.effect.label, None)
+            try:
+                with tests.limiting():
+                    confirmed = search.prune(polish(after, search.data), effects)
+                    self._data_after = search.data
+                    return self._early(
+                        self._within_limits(Found(*confirmed, tuple(search.considered.values())))
+                    )
+            except BudgetEndedError:
+                others = tuple(s for s in effects if s.effect.label not in search.considered)
+                untested = self._removed(after, others, "was not tested before the budget ended")
+                self._data_after = self._data
+        rejected = (*untested, *(search.considered.values() if search else ()))
+        return self._early(Found(self.before, (), rejected))
+
+    def _early(self, found: Found) -> SearchOutcome:
+        """Return the outcome of tested effects when no time is left for others or for tables."""
+        return (self._decided(found) or self._partial(found))._replace(contradiction=self.suspect)
+
+    def _decided(self, found: Found) -> SearchOutcome | None:
+        """Return the outcome if a table cannot change it: effects explain the data, or only imitate a drift."""
+        decision = verdict_of_effects(
+            bool(found.effects), self._imitated_drift(found.fitted), lambda: self._explains(found.fitted)
+        )
+        return decision and self._decide(decision, found)
+
+    def _partial(self, found: Found) -> SearchOutcome:
+        """Return the outcome where an error remains that neither effects nor a table describe."""
+        decision = verdict_of_rest(
+            bool(found.effects),
+            lambda: self.runs_differ,
+            lambda: self._partial_evidence(found.fitted),
+            self._criteria,
+        )
+        return self._decide(decision, found)
+
+    def _decide(self, decision: tuple[Verdict, str], found: Found) -> SearchOutcome:
+        """Return the outcome of a decision: a verdict, and why effects are removed."""
+        verdict, reason = decision
+        if reason or not found.effects:
+            removed = self._removed(found.fitted, found.effects, reason)
+            found = Found(self.before, (), found.considered + removed)
+        return self._outcome(verdict, found)
+
+    def _removed(
+        self, after: Fit, effects: tuple[SelectedEffect, ...], reason: str
+    ) -> tuple[ConsideredEffect, ...]:
+        """Log that effects are removed, and return them as considered; the reason is a clause that follows "it "."""
+        for s in effects:
+            self._log(f"  {s.effect.label} is removed: it {reason}")
+        return tuple(ConsideredEffect(s.effect, after.machine, self.before.machine, reason) for s in effects)
+
+    def _imitated_drift(self, after: Fit) -> str:
+        """Return the name of the parameter that differs from run to run, if effects only imitate it; otherwise ""."""
+        declared = {e.label for e in self.before.machine.effects}
+        named = [e for e in after.machine.effects if e.label not in declared]
+        over_time = [e for e in named if _may_differ_by_run(e.definition)]
+        states = sum(bool(e.definition.initial_spread) for e in over_time) * len(self._data.runs)
+
+        @cache
+        def by_run() -> RunDifferences | None:
+            start: Fit | None = after
+            for effect in over_time:
+                start = start and without_effect(start, effect.label, self._data, self.before.machine)
+            return None if start is None else best_by_run(start, self._data)
+
+        def error_by_run() -> FitError | None:
+            found = by_run()
+            return found and dataclasses.replace(self.base, cost=found.chi2 * self._data.count).error
+
+        evidence = DriftEvidence(
+            unknowns=sum(len(e.parameters) for e in over_time) + states,
+            values=len(self._data.runs) - 1,
+            explained=lambda: self._explains(self._refined(after)),
+            wide=lambda: self._wide_error(after),
+            by_run=error_by_run,
+        )
+        found = imitates_drift(evidence, self._criteria) and by_run()
+        return found.quantity.name if found else ""
+
+    @cached_property
+    def _difference(self) -> RunDifferences | None:
+        """The parameter that differs from run to run and explains the runs without effects, if there is one."""
+        return find_run_differences(self.before, self._data, self._criteria)
+
+    @property
+    def needs_no_effect(self) -> bool:
+        """Whether the refitted machine explains the runs without effects."""
+        return self._explains(self.before)
+
+    @cached_property
+    def runs_differ(self) -> bool:
+        """Whether a parameter that differs from run to run explains the runs, as no effect or table can.
+
+        A table over time may explain a parameter that drifts. If a single run differs, the others may have effects.
+        """
+        if (difference := self._difference) is not None:
+            self._log(f"{difference.quantity.name} differs between the runs")
+        return difference is not None and not difference.drifts and difference.different_run is None
+
+    def _within_limits(self, found: Found, search: EffectSearch | None = None) -> Found:
+        """Remove effects that the final fit moves to a limit of their range, and those that fail without them.
+
+        The search asks the same of its own fit, with an observer, from which the final one in simulation may differ.
+        """
+        for s in found.effects:
+            if s.effect.definition.family == TABLE_FAMILY:
+                continue
+            label, data = s.effect.label, self._data_of(found.fitted)
+            reason = parameter_at_limit(parameter_values(label, self._refined(found.fitted)))
+            reduced = reason and without_effect(found.fitted, label, data, self.before.machine)
+            if reduced:
+                considered = found.considered + self._removed(found.fitted, (s,), reason)
+                others = tuple(o.with_values(reduced.machine) for o in found.effects if o is not s)
+                if not others:
+                    return Found(self.before, (), considered)
+                if search := search or (self._searches[-1] if self._searches else None):
+                    reduced, others = search.prune(reduced, others)
+                return self._within_limits(Found(reduced, others, considered), search)
+        return found
+
+    def _outcome(self, verdict: Verdict, found: Found) -> SearchOutcome:
+        """Return the outcome, with machines that are fitted again: in simulation, and run by run, if that is better."""
+        judged = next(
+            (fitted for fitted, refined in self._refinements if refined is found.fitted), found.fitted
+        )
+        before, after = (self._final(fitted) for fitted in (self.before, found.fitted))
+        return SearchOutcome(
+            before,
+            self._explains(self.before),
+            self._explains(found.fitted),
+            verdict,
+            after,
+            tuple(s.with_values(after.machine) for s in found.effects),
+            found.considered,
+            self._data_after,
+            bandwidth=judged.bandwidth,
+        )
+
+    def _final(self, fitted: Fit) -> Fit:
+        """Return a fit refined in simulation and, if it explains the data, with the observer that each run requires.
+
+        Logs that are slower than the controller are fitted by instruments, if that is better.
+        """
+        refined, data = self._refined(fitted), self._data_of(fitted)
+        by_run = fit_run_by_run(refined, data) if self._explains(fitted) else refined
+        return fit_slow_log(by_run, data)
+
+    def _data_of(self, fitted: Fit) -> Dataset:
+        """Return the runs with the encoders' zeros that follow from the effects of a fit."""
+        return self._data if fitted is self.before else refine_dataset(self._data_after, fitted.machine)
+
+    def _refined(self, fitted: Fit) -> Fit:
+        """Return a fit refined in simulation."""
+        for done, refined in self._refinements:
+            if done is fitted:
+                return refined
+        self._refinements.append((fitted, refined_in_simulation(fitted, self._data_of(fitted))))
+        return self._refinements[-1][1]
+
+    def _known_effects(self, start: Selection | None) -> Found:
+        """Search from a fit for effects of the library."""
+        criteria, data = self._criteria, self._data
+        if start is None:
+            search, (current, effects) = self._first_search, self.selection
+        else:
+            search = self._new_search(EffectSearch(data, self.before.machine, criteria, self._log))
+            search.reached = start
+            current, effects = search.run(*start)
+        refined = refine_dataset(search.data, current.machine)
+        if refined is not search.data:
+            # More accurate zeros may reveal further effects.
+            found_at, search = current, self._new_search(search.with_data(refined))
+            search.reached = current, effects
+            current = fit_with_model_error(polish(current, refined), refined)
+            lower = is_enough(found_at.error, current.error, required_gain(found_at.error, criteria))
+            if lower or current.bandwidth != found_at.bandwidth:
+                current, effects = search.run(current, effects)
+        # Starts that a wrong machine estimates compensate what it lacks.
+        if effects or self._explains(current):
+            self._data_after = search.data
+        if not effects and start is None and self._explains(current):
+            self.before, self._data = current, search.data
+        if effects:
+            data = search.data
+            search.reached = current, effects
+            spend("comparing rivals")
+            effects = search.with_indistinguishable(current, effects)
+            current, effects = search.settle_rivals(current, effects)
+            search.reached = current, effects
+            spend("testing each effect beside the others")
+            current, effects = search.prune(polish(current, data), effects)
+            simulated = self._refined(current)
+            # Without the error that an observer causes, unless the simulation leaves more than the observer corrects.
+            accurate = self._explains(simulated) or not self._explains(current)
+            if simulated.bandwidth == SIMULATION != current.bandwidth and accurate:
+                current, effects = search.prune(simulated, effects)
+        return Found(current, effects, tuple(search.considered.values()))
+
+    def _with_tables(self, found: Found) -> Found | None:
+        """Return a model with tables, alone or beside the selected effects, if it explains the residual."""
+        self._log("no known effect explains the residual; searching for a table of force or friction")
+        alone = Found(self.base, (), found.considered)
+        beside = found._replace(
+            fitted=continue_fit(found.fitted, self._data, SEARCH_BANDWIDTH) if found.effects else self.base
+        )
+        for start, count in ((alone, 1), (beside, 2)):
+            if (tabled := self._tabled(start, count)) is not None:
+                replaced = len(found.effects) - len(start.effects)
+                costs = self._wide_error(tabled.fitted).cost, self.base.cost, beside.fitted.cost
+                if accepts_table(TableEvidence(self._explains(tabled.fitted), *costs, replaced)):
+                    return tabled
+        return None
+
+    def _in_place_of_curves(self, found: Found) -> Found | None:
+        """Return a model with a table in place of effects of one variable that only imitate a curve of another form."""
+        after = found.fitted
+        curves = curves_of_one_variable([s.effect for s in found.effects], after.machine)
+        if not curves or not self._explains(after) or self.runs_differ:
+            return None
+        left = self._simulated_cost(after)
+        if nearly_explains(dataclasses.replace(after, cost=left).error, self._criteria):
+            return None
+        self._log("several effects depend on one variable; searching for a table in their place")
+        start: Fit | None = continue_fit(after, self._data, SEARCH_BANDWIDTH)
+        for effect in curves:
+            start = start and without_effect(start, effect.label, self._data, self.before.machine)
+        if start is None:
+            return None
+        others = tuple(s for s in found.effects if s.effect not in curves)
+        tabled = self._tabled(Found(start, others, found.considered), 1)
+        if tabled is None or not self._explains(tabled.fitted):
+            return None
+        return tabled if is_one_curve(self._simulated_cost(tabled.fitted), left) else None
+
+    def _tabled(self, known: Found, count: int) -> Found | None:
+        """Return a fit with up to `count` tables added to known effects; None if no table passes the tests."""
+        fitted, more = add_tables(
+            known.fitted,
+            known.effects,
+            self._data,
+            criteria=self._criteria,
+            max_tables=count,
+            log=self._log,
+        )
+        if len(more) == len(known.effects):
+            return None
+        data = refine_dataset(self._data, fitted.machine)  # starts are more accurate with the table
+        fitted = fit_with_moved_knots(fitted, data, self._criteria)
+        # No search beside a table: many small effects resemble the error of its straight pieces.
+        refined = polish(fit_with_model_error(fitted, data), data)
+        search = EffectSearch(data, self.before.machine, self._criteria, self._log)
+        tabled = Found(*search.prune(refined, more), known.considered)
+        if self._explains(tabled.fitted):
+            tabled = self._within_limits(tabled, search)
+        return tabled if tabled.effects else None
+
+    def _simulated_cost(self, fitted: Fit) -> float:
+        """Return the cost of the simulation of a machine, refined in simulation."""
+        return prediction_cost(self._refined(fitted).machine, self._data_of(fitted), SIMULATION)
+
+    def _wide_error(self, fitted: Fit) -> FitError:
+        """Return the error of a machine at the largest observer bandwidth, common to all machines."""
+        cost = prediction_cost(fitted.machine, self._data, SEARCH_BANDWIDTH)
+        return dataclasses.replace(self.base, cost=cost).error
+
+    def _partial_evidence(self, after: Fit) -> PartialEvidence:
+        """Return the errors of a machine with effects and of the refitted machine, per sample."""
+        count = self._data.count
+
+        def simulated(fitted: Fit) -> float:
+            return prediction_cost(self._refined(fitted).machine, self._data, SIMULATION) / count
+
+        return PartialEvidence(
+            wide=(self._wide_error(after), self._wide_error(self.base)),
+            simulated=(simulated(after), simulated(self.before)),
+        )
+
+    def _explains(self, after: Fit) -> bool:
+        """Return whether a fit explains the runs (`judge.error.explains`)."""
+        bare = after.machine.effects == self.before.machine.effects
+        return explains(after.error, self._criteria, without_effects=bare)
+
+
+def fitted_to_all_rows(
+    found: SearchOutcome,
+    machine: Machine,
+    data: Dataset,
+    criteria: SelectionCriteria,
+    log: Log,
+    budget: Budget,
+) -> SearchOutcome:
+    """Fit the machines that a search in a part of the rows found to all of them, and reach the verdict again.
+
+    Args:
+        found: Outcome of a search in a part of the rows.
+        machine: Machine from which the search started.
+        data: All rows of the runs to fit, without the run that the search left out.
+        criteria: Decision thresholds.
+        log: Called with a line at each stage.
+        budget: Processor time of the identification.
+
+    Returns:
+        Outcome with the machines that all rows determine; `found`, unfinished, if the budget ended before.
+    """
+    try:
+        with budget.limiting(stage_ends(machine, in_part=True).all_rows):
+            spend("fitting all rows")
+            log("fitting all rows")
+            complete = estimate_lost_voltages(data, found.after.machine)
+            before = polish(found.before, complete)
+            wide = continue_fit(before, complete, SEARCH_BANDWIDTH)
+            outcome = ModelSearch(machine, complete, criteria, log, wide, before).fitted(found)
+    except BudgetEndedError:
+        log(f"  {budget.reason} ({budget.doing}); the machines are fitted to a part of the rows")
+        return found._replace(unfinished=found.unfinished or budget.doing)
+    return outcome._replace(contradiction=found.contradiction, unfinished=found.unfinished)
+
+
+def _may_differ_by_run(definition: Effect) -> bool:
+    """Return whether an effect is a function of time, or begins each run in an unknown state."""
+    hooks = (getattr(definition, name) for name in HOOKS)
+    return bool(definition.initial_spread) or any(hook and "t" in argument_names(hook) for hook in hooks)

@@ -1,0 +1,66 @@
+"""Outcome of a search, and the outcome without one of its effects."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from ...preparation.dataset import Dataset
+from ..evidence.tried_effects import ConsideredEffect, Log, SelectedEffect
+from ..fit.estimation import Fit
+from ..judge.verdict import Verdict, verdict_after_removal
+from ..predict.prediction import SIMULATION
+
+
+class SearchOutcome(NamedTuple):
+    """Outcome of a search.
+
+    Attributes:
+        before: Fit of the refitted machine, without effects.
+        before_explains: Whether that machine explains the data.
+        explained: Whether the machine with the effects explains the data.
+        verdict: "effect_found", "no_effect" or "unexplained".
+        after: Fit of the machine with the effects.
+        selected: The selected effects.
+        considered: Effects that reduced the error of the fitted runs but failed a test.
+        data: Runs that the machines were fitted to.
+        contradiction: Name of the run that was left out because it contradicts the others; None if all were used.
+        unfinished: What the search did when its budget ended, in words; "" if it is complete.
+        bandwidth: Bandwidth of the observer with which the search judged effects, rad/s; `after` may have been fitted
+            in simulation since.
+    """
+
+    before: Fit
+    before_explains: bool
+    explained: bool
+    verdict: Verdict
+    after: Fit
+    selected: tuple[SelectedEffect, ...]
+    considered: tuple[ConsideredEffect, ...]
+    data: Dataset
+    contradiction: str | None = None
+    unfinished: str = ""
+    bandwidth: float = SIMULATION
+
+
+def with_removed(
+    outcome: SearchOutcome, removed: SelectedEffect, reduced: Fit, reason: str, log: Log
+) -> SearchOutcome:
+    """Return an outcome without one of its effects, which is listed as considered.
+
+    Args:
+        outcome: Outcome of a search.
+        removed: The effect.
+        reduced: Fit without it.
+        reason: Why it is removed, a clause that follows "it ".
+        log: Called with a line of text.
+    """
+    log(f"  {removed.effect.label} is removed: it {reason}")
+    entry = ConsideredEffect(removed.effect, outcome.after.machine, reduced.machine, reason)
+    selected = tuple(s for s in outcome.selected if s is not removed)
+    after = reduced if selected else outcome.before
+    return outcome._replace(
+        verdict=verdict_after_removal(outcome.verdict, bool(selected), outcome.before_explains),
+        after=after,
+        selected=tuple(s.with_values(after.machine) for s in selected),
+        considered=(*outcome.considered, entry),
+    )

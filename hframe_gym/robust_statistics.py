@@ -1,0 +1,42 @@
+"""Standard deviations that single outliers hardly change."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+
+from .arrays import Array
+
+_STD_OF_MEDIAN = 1.4826  # Standard deviation of a normal distribution / median of its absolute values.
+
+
+def std_by_median(deviations: Array, axis: int | None = None) -> Array:
+    """Estimate a standard deviation by the median absolute deviation.
+
+    Args:
+        deviations: Deviations from the center, in any unit and of any shape.
+        axis: Axis along which they are samples of one distribution. Default: all are.
+
+    Returns:
+        Standard deviation, in the unit of the deviations, without the axis.
+    """
+    return _STD_OF_MEDIAN * np.median(np.abs(deviations), axis=axis)
+
+
+def white_noise(pieces: Iterable[Array], order: int) -> float:
+    """Estimate the standard deviation of white noise from differences, which smooth motion hardly changes.
+
+    Args:
+        pieces: Values by piece, in any unit, each of shape (n,).
+        order: Order of the differences, dimensionless.
+
+    Returns:
+        Standard deviation, in the unit of the values; 0 if no piece has more values than `order`.
+    """
+    differences = np.concatenate([np.diff(values, order) for values in pieces])
+    if not len(differences):
+        return 0.0
+    # The coefficients of a difference are binomial, and comb(2 n, n) is the sum of their squares.
+    return float(std_by_median(differences)) / math.sqrt(math.comb(2 * order, order))
