@@ -28,7 +28,7 @@ from .judge.criteria import SelectionCriteria
 from .report.assembly import build_result
 from .report.result import IdentificationResult
 from .search.checked_search import find_effects
-from .validate.evaluation import HeldOutTest, judged
+from .validate.evaluation import HeldOutTest, judged, with_certain_effects
 from .validate.simpler_machines import no_worse
 
 _SILENT = (
@@ -100,9 +100,10 @@ def identify(
     )
     found = found._replace(messages=(*copies, *session.statements, *statements, *found.messages))
 
-    # Validate: held-out runs judge verdict and names; nothing worse than a plain fit or the file is delivered.
-    test = HeldOutTest(session, found.held_out, criteria, log)
-    evaluated = judged(test.evaluate(found.outcome), found.differing, log)
+    # Validate: effects must be certain; held-out runs judge verdict and names; nothing worse than a plain fit or the
+    # file is delivered.
+    test = HeldOutTest(session, found.held_out, criteria)
+    evaluated = judged(test.evaluate(with_certain_effects(found.outcome, log)), found.differing, log)
     delivered = no_worse(evaluated, found.plain, log, budget)
     outcome = delivered.evaluated.outcome
     remarks = (*found.remarks, *delivered.remarks)

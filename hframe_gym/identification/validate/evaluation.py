@@ -1,4 +1,4 @@
-"""Evaluate what a search found on the held-out runs, and let these judge its verdict and the names of its effects."""
+"""Evaluate what is certain of an outcome on held-out runs, and let these judge its verdict and names of effects."""
 
 from __future__ import annotations
 
@@ -40,6 +40,34 @@ from ..search.outcome import SearchOutcome, with_removed
 from .machine_errors import ModelEvaluation, PredictionErrors, evaluate_held_out
 
 
+def with_certain_effects(outcome: SearchOutcome, log: Log) -> SearchOutcome:
+    """Remove the effects that may as well be absent, given the covariance of the fitted parameters.
+
+    The least certain effect is removed first; the others may be certain without it.
+
+    Args:
+        outcome: Outcome of a search, after the held-out runs have removed effects.
+        log: Called with a line of text for each effect that is removed.
+    """
+    while outcome.selected:
+        data = refine_dataset(outcome.data, outcome.after.machine)
+        machine = with_uncertainty(outcome.after, data)
+        doubts: list[tuple[float, SelectedEffect, str]] = []
+        for s in outcome.selected:
+            found = sizes(s.effect, machine)
+            if reason := uncertain_size(found):
+                doubts.append((max(abs(size.value) / size.std for size in found), s, reason))
+        for _, uncertain, reason in sorted(doubts, key=lambda doubt: doubt[0]):
+            label = uncertain.effect.label
+            reduced = without_effect(outcome.after, label, data, outcome.before.machine)
+            if reduced is not None:  # no other effect requires it
+                outcome = with_removed(outcome, uncertain, reduced, reason, log)
+                break
+        else:
+            break
+    return outcome
+
+
 @dataclass(frozen=True)
 class HeldOutTest:
     """The test of every outcome of an identification: simulations over the same held-out runs.
@@ -48,13 +76,11 @@ class HeldOutTest:
         session: All runs, as logged and as prepared, with the declared machine.
         held_out: Held-out runs, prepared.
         criteria: Thresholds of the identification.
-        log: Called with a line of text for each effect that is removed.
     """
 
     session: Session
     held_out: Dataset
     criteria: SelectionCriteria
-    log: Log = lambda line: None
 
     @cached_property
     def validation(self) -> Dataset:
@@ -76,14 +102,12 @@ class HeldOutTest:
     def evaluate(self, outcome: SearchOutcome) -> Evaluated:
         """Simulate the declared, the refitted and the corrected machine over the held-out runs.
 
-        Effects whose size is not certain in the corrected machine are removed.
-
         Args:
-            outcome: Outcome of a search, after the held-out runs have removed effects.
+            outcome: Outcome of a search, without effects that must not be named.
         """
-        outcome, refined, fitted = _certain(outcome, self.log)
+        refined = refine_dataset(outcome.data, outcome.after.machine)
         corrected, selected = _corrected(
-            fitted.replace(name=f"{self.session.machine.name}-identified"),
+            with_uncertainty(outcome.after, refined).replace(name=f"{self.session.machine.name}-identified"),
             outcome.selected,
             self.session.ranges,
         )
@@ -280,29 +304,6 @@ def without_names(outcome: SearchOutcome, reason: str) -> SearchOutcome:
     return outcome._replace(
         verdict="unexplained", after=outcome.before, selected=(), considered=(*entries, *outcome.considered)
     )
-
-
-def _certain(outcome: SearchOutcome, log: Log) -> tuple[SearchOutcome, Dataset, Machine]:
-    """Return an outcome without effects that may as well be absent, its refined runs, and its machine with covariance.
-
-    The least certain effect is removed first; the others may be certain without it.
-    """
-    while True:
-        data = refine_dataset(outcome.data, outcome.after.machine)
-        machine = with_uncertainty(outcome.after, data)
-        doubts: list[tuple[float, SelectedEffect, str]] = []
-        for s in outcome.selected:
-            found = sizes(s.effect, machine)
-            if reason := uncertain_size(found):
-                doubts.append((max(abs(size.value) / size.std for size in found), s, reason))
-        for _, uncertain, reason in sorted(doubts, key=lambda doubt: doubt[0]):
-            label = uncertain.effect.label
-            reduced = without_effect(outcome.after, label, data, outcome.before.machine)
-            if reduced is not None:  # no other effect requires it
-                outcome = with_removed(outcome, uncertain, reduced, reason, log)
-                break
-        else:
-            return outcome, data, machine
 
 
 def _corrected(

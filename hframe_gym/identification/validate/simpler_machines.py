@@ -24,7 +24,7 @@ from ..judge.criteria import SelectionCriteria
 from ..judge.verdict import description_helps, forces_contradict, is_worse_than, needs_description
 from ..predict.prediction import SIMULATION
 from ..search.forward_selection import EffectSearch
-from .evaluation import Evaluated, HeldOutTest, without_names
+from .evaluation import Evaluated, HeldOutTest, with_certain_effects, without_names
 from .machine_errors import ModelEvaluation, error_ratio
 
 _MAX_EFFECTS = 2  # Each further one takes longer and removes less.
@@ -148,7 +148,7 @@ def _compared(
     if outcome.selected and ratio > 1.0:  # their parameters were fitted to short predictions
         after = refined_equally(outcome.after, outcome.data)
         selected = tuple(s.with_values(after.machine) for s in outcome.selected)
-        again = test.evaluate(outcome._replace(after=after, selected=selected))
+        again = test.evaluate(with_certain_effects(outcome._replace(after=after, selected=selected), log))
         if error_ratio(again.after, reference) < ratio and not _is_worse(again.after, reference, test):
             lacking, without = again.after.held_out.lacking, evaluated.before.held_out.lacking
             if lacking is None or without is None or not forces_contradict(lacking, without):

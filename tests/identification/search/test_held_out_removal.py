@@ -25,7 +25,7 @@ from hframe_gym.identification.predict.prediction import SIMULATION
 from hframe_gym.identification.propose.trial_fits import without_effect
 from hframe_gym.identification.search.checked_search import _contradicting_runs, without_unconfirmed
 from hframe_gym.identification.search.outcome import SearchOutcome
-from hframe_gym.identification.validate.evaluation import _certain
+from hframe_gym.identification.validate.evaluation import with_certain_effects
 from hframe_gym.machine import Machine
 from hframe_gym.recordings import Recording
 
@@ -78,8 +78,7 @@ def test_an_effect_whose_size_is_not_certain_in_the_end_is_removed(
     pushed = axis.with_effects(EFFECTS["constant_force"].at("x", size=hidden))
     data = prepare([recorded(pushed, 0)], axis)
     before, outcome = outcome_with_force(axis, data, 0.01, True)
-    certain, _, machine = _certain(outcome, lambda line: None)
-    assert machine.uncertainty is not None
+    certain = with_certain_effects(outcome, lambda line: None)
     assert bool(certain.selected) == kept
     if kept:
         assert certain is outcome
