@@ -16,11 +16,11 @@ def std_by_median(deviations: Array, axis: int | None = None) -> Array:
     """Estimate a standard deviation by the median absolute deviation.
 
     Args:
-        deviations: Deviations from the center, in any unit and of any shape.
-        axis: Axis along which they are samples of one distribution. Default: all are.
+        deviations: Deviations from the center, in any unit, shape (n,) or (n, channels).
+        axis: 0 for the standard deviation of each channel. Default: one of all values.
 
     Returns:
-        Standard deviation, in the unit of the deviations, without the axis.
+        Standard deviation, in the unit of the deviations, shape () or (channels,).
     """
     return _STD_OF_MEDIAN * np.median(np.abs(deviations), axis=axis)
 
