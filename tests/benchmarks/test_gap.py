@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -458,7 +459,7 @@ def test_identification_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
         return machines.identified(record, session, declared_machine(), tmp_path / "standard")
 
     first, again = found("a"), found("a")
-    assert calls == [machines.IDENTIFY_S]
+    assert calls == [math.inf]  # a limited search finds less on a slower processor
     assert len(recorded) == 1
     assert first[2:] == again[2:] == ("effect_found", ("cogging@motor1",), 1.5, first.cpu_s)
     found("b")  # recorded again, and found to be the same
