@@ -15,7 +15,7 @@ In these conditions an exact model is that of the agents' training. An identifie
 therefore compares the declared model with an exact one on machines with the parameters of plants of gap-v1, of another
 seed than the published ones and without effects, sensors, estimators or errors of identification.
 
-Results are added to results/model_error.json, which keeps rows that are not run again.
+Results are added to results/model_error.json or model_error_machines.json, which keep rows that are not run again.
 """
 
 from __future__ import annotations
@@ -127,7 +127,7 @@ def row_of_machines(name: str, draws: int) -> dict[str, Any]:
     Returns:
         Of the "declared" and the "exact" model, the mean settling time, s, with its 95 % interval over the machines.
         "gain": mean over the machines of the fraction by which the exact model is faster; "median_gain": the same of
-        the medians over the moves. "failed": number of moves that do not settle, with each model. "draws".
+        the medians over the moves. "failed": number of moves that do not settle, with each model.
     """
     times: dict[str, list[Array]] = {"declared": [], "exact": []}
     for index in MACHINES:
@@ -143,7 +143,6 @@ def row_of_machines(name: str, draws: int) -> dict[str, Any]:
         "gain": interval(1.0 - exact.mean(axis=1) / declared.mean(axis=1)),
         "median_gain": interval(1.0 - by_median[1] / by_median[0]),
         "failed": [int((of >= Scenario.duration_s).sum()) for of in (declared, exact)],
-        "draws": draws,
     }
 
 
@@ -158,18 +157,13 @@ def main() -> None:
     parser.add_argument("--machines", action="store_true", help="compare models on machines that differ")
     arguments = parser.parse_args()
     names = arguments.only or [*CONTROLLED, *AGENTS]
-    path = RESULTS / f"{NAME}.json"
-    content = json.loads(path.read_text("utf-8")) if path.is_file() else {}
-    rows, machines = content.setdefault("rows", {}), content.setdefault("machines", {})
+    result, score = (f"{NAME}_machines", row_of_machines) if arguments.machines else (NAME, row)
+    path = RESULTS / f"{result}.json"
+    rows = json.loads(path.read_text("utf-8"))["rows"] if path.is_file() else {}
     for name in [*names, *([TRAINED] if arguments.train else [])]:
-        if arguments.machines:
-            machines[name] = row_of_machines(name, arguments.draws)
-            print(name, machines[name], flush=True)
-        else:
-            content["draws"], rows[name] = arguments.draws, row(name, arguments.draws)
-            print(name, {key: round(values[0], 4) for key, values in rows[name].items()}, flush=True)
-        own = {key: content[key] for key in ("draws", "rows", "machines") if key in content}
-        write_results(NAME, own, seed=SEED)
+        rows[name] = score(name, arguments.draws)
+        print(name, {key: np.round(values, 4).tolist() for key, values in rows[name].items()}, flush=True)
+        write_results(result, {"draws": arguments.draws, "rows": rows}, seed=SEED)
 
 
 if __name__ == "__main__":

@@ -104,6 +104,20 @@ def model_error(results: dict[str, Any]) -> str:
     return markdown(["", "parameters and effects differ", "parameters differ", "exact", "gain"], rows)
 
 
+@table("model_error_machines")
+def model_error_machines(results: dict[str, Any]) -> str:
+    """Format how fast moves are with the declared and with an exact model, on machines other than the declared one."""
+    rows = []
+    for name, of in sorted(results["rows"].items(), key=lambda item: -item[1]["gain"][0]):
+        gains = [
+            f"{100.0 * mean:.1f} % ({100.0 * low:.1f} to {100.0 * high:.1f})"
+            for mean, low, high in (of["gain"], of["median_gain"])
+        ]
+        failed = ", ".join(map(str, of["failed"]))
+        rows.append([f"`{name}`", f"{of['declared'][0]:.3f}", f"{of['exact'][0]:.3f}", *gains, failed])
+    return markdown(["", "declared", "exact", "gain", "gain of the median", "moves that fail"], rows)
+
+
 @table("gap_plants", source="gap")
 def gap_plants(results: dict[str, Any]) -> str:
     """Format what each plant of gap-v1 hides, what was identified, and settling times of two controllers."""
