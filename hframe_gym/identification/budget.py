@@ -5,10 +5,10 @@ up, or the user interrupts, `BudgetEndedError` unwinds the search. `search_effec
 machine so far, which then goes through the same validation and verdict as that of a complete search. Without an active
 budget, as in a fit outside a search, `spend` does nothing.
 
-The measure is the processor time of this process, all threads together, so that a search does not lose the time in which
-other programs run. A second does less on a slower processor, in several threads, or where other programs share caches
-and clock: the same identification took 4 s on one day and up to 7.6 s on another. A result depends on the budget only if
-the budget ends; report.json then has the key "unfinished".
+The measure is the processor time of this process, all threads together, so that a search does not lose the time in
+which other programs run. A second does less on a slower processor, in several threads, or where other programs share
+caches and clock: the same identification took 4 s on one day and up to 7.6 s on another. A result depends on the budget
+only if the budget ends; report.json then has the key "unfinished".
 """
 
 from __future__ import annotations
