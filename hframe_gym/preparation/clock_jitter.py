@@ -16,16 +16,16 @@ _SPEED_ROWS, MIN_JITTER_ROWS = 11, 50  # samples that a speed is computed from; 
 # much larger errors would exchange the order of the samples. What looks like more has another cause, such as a sensor
 # that is slower than the log, and must not be taken for noise.
 _LARGEST_JITTER = 0.5
-# Variances that white noise of variance 1 has after two filters over seven rows, sums of their squared coefficients.
-# Both remove smooth motion by fifth differences d. Differences of d pass the fastest alternation from row to row, sums of
-# neighbors what alternates at about three quarters of this frequency. Both hold the same part of white noise.
+# Variances that white noise of variance 1 has after two filters over seven rows: sums of their squared coefficients.
+# Both remove smooth motion by fifth differences. Differences of these pass the fastest alternation from row to row,
+# sums of neighbors what alternates at about three quarters of this frequency.
 _DIFFERENCES_VARIANCE, _SUMS_VARIANCE = 924.0, 84.0
 # What forces cause between the rows has at least twice the variance in the sums: 2.1 times for forces that are white,
 # 4.7 times for voltages that change in every row and are held until the next.
 _MOTION_RATIO = 2.0
-# Least part of the fastest alternation that is white where the clock jitters: the larger one. In simulated stages with
-# jitter of 10 to 22 us, 0.88 and more are white in logs of 250 Hz to 1 kHz, 0.59 and more in logs of 100 Hz. Forces alone
-# leave up to 0.34 by chance (random forces on a mass).
+# Least part of the fastest alternation that is white where the clock jitters: the larger one. In simulated stages
+# with jitter of 10 to 22 us, 0.88 and more are white in logs of 250 Hz to 1 kHz, 0.59 and more in logs of 100 Hz.
+# Forces alone leave up to 0.34 by chance (random forces on a mass).
 _LEAST_WHITE_PART = 0.5
 # The part of the rows with the smaller mean squares, which shocks do not reach. White noise of variance 1 has these
 # means there, by a simulation of 8 million rows.
@@ -41,9 +41,9 @@ def clock_jitter(times: Sequence[Array], channel: Sequence[Array], noise: float)
     Rows in which the sensor moves by less than sqrt(12) * noise per row are left out, because rounding errors of
     successive measurements then depend on each other.
 
-    s is the part of the error that is white from row to row. Voltage steps bend the motion within a row as well, of a
-    light motor by more than the noise, but the motor's inertia makes slower alternation larger than the fastest one. The
-    variances at two frequencies tell these parts apart.
+    s is the part of the error that is white from row to row. Voltage steps bend the motion within a row as well, of
+    a light motor by more than the noise, but the motor's inertia makes slower alternation larger than the fastest one.
+    The variances at two frequencies tell these parts apart.
 
     Args:
         times: Sample times by run, s, shape (n,) each.
