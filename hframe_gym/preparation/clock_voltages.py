@@ -1,4 +1,4 @@
-"""Mean voltages that the jitter of a controller's clock causes between the rows of a slow log.
+"""What the jitter of a controller's clock does to the voltages of a slow log.
 
 A controller that reads a moving sensor late finds it farther on, and brakes; reading early, it drives. A late voltage
 also ends sooner than usual, and an early one lasts longer, because the next one comes at its own time. The braking
@@ -7,11 +7,16 @@ that contain all voltages show it. Between the rows of a slow log, interpolation
 for a smaller back-EMF: 117 us in steps of 1 ms change that of a stage by 2 %, which left 20 times the noise in the
 runs of another controller.
 
+The voltage of a row also answers the jitter of that row. Interpolation spreads this answer over the rows beside, while
+the controller took it back one of its periods later: it is removed before voltages are interpolated.
+
 The log contains all that is needed: the jitter in its stamps, the speeds, and the answer, volts per angle or length, in
 the voltages of its rows, which vary with stamp times speed.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,10 +32,30 @@ _MIN_ROWS = 100  # of changing voltages; they tell an answer within a few percen
 # rows that are left no longer change.
 _JUMP, _ROUNDS = 4.0, 10
 _MEDIAN_TO_STD = 1.4826  # of the absolute values of a normal distribution
+# Rows of the cubic that stands for a regular clock: it follows a clock that drifts, and 2 % of the variance of jitter.
+_CLOCK_ROWS = 99
+_WANDERS = 2.0  # variance of the stamps around it / that of jitter, beyond which the steps are not regular
 
 
-def clock_impulses(time_s: Array, inputs: Array, outputs: Array) -> Array:
-    """Return what jitter adds, on average, to the time integral of a voltage from one change to the next.
+class ClockVoltages(NamedTuple):
+    """What the jitter of a controller's clock does to the voltages of a run of n rows.
+
+    Attributes:
+        impulses: What jitter adds, on average, to the time integral of a voltage from one change to the next, V s,
+            shape (n, drives).
+        answers: What the voltage of a row has in it because this row was read late or early, V, shape (n, drives).
+    """
+
+    impulses: Array
+    answers: Array
+
+    def rows(self, chosen: slice) -> ClockVoltages:
+        """Return those of some rows."""
+        return ClockVoltages(self.impulses[chosen], self.answers[chosen])
+
+
+def clock_voltages(time_s: Array, inputs: Array, outputs: Array) -> ClockVoltages:
+    """Return what jitter does to the voltages.
 
     Reading late by d, the controller answers with h * speed * d, and this voltage lasts shorter by d: the mean of the
     product is -h * speed * variance of d.
@@ -41,42 +66,54 @@ def clock_impulses(time_s: Array, inputs: Array, outputs: Array) -> Array:
         outputs: Positions that the sensors measure, m or rad, NaN where not measured, shape (n, sensors).
 
     Returns:
-        Impulses for each change of the voltages, V s, shape (n, drives); 0 where rows are too few or steps are equal.
+        Impulses and answers; 0 where rows are too few or steps are equal.
     """
-    nothing = np.zeros_like(inputs)
+    found = ClockVoltages(np.zeros_like(inputs), np.zeros_like(inputs))
     measured = [values for values in outputs.T if np.isfinite(values).sum() >= _MIN_ROWS]
     if not measured or len(time_s) < _MIN_ROWS:
-        return nothing
+        return found
     speeds = np.column_stack([_speed(time_s, values) for values in measured])
     lateness, changes = np.diff(time_s, _DIFFERENCES), np.diff(inputs, _DIFFERENCES, axis=0)
     even = _without_jumps(lateness, np.ones(len(lateness), np.bool_))
     variance = float(np.mean(lateness[even] ** 2)) / _VARIANCE_OF_DIFFERENCES if even.any() else 0.0
+    late = _lateness(time_s, variance)
     read = speeds[1 : 1 + len(lateness)] * lateness[:, None]  # what the controller reads too far, differenced
     for drive, of_drive in enumerate(changes.T):
         used = _without_jumps(of_drive, even & (of_drive != 0.0))
         if used.sum() >= _MIN_ROWS:
             # The answer to each sensor, V/m or V/rad.
             answer, *_ = np.linalg.lstsq(read[used], of_drive[used], rcond=None)
-            nothing[:, drive] = -variance * (speeds @ answer)
-    return nothing
+            found.impulses[:, drive] = -variance * (speeds @ answer)
+            found.answers[:, drive] = late * (speeds @ answer)
+    return found
 
 
-def with_clock_impulses(inputs: Array, impulses: Array, time_s: Array, updates: int) -> Array:
-    """Return voltages of rows that have, interpolated between the rows, the mean that the clock's jitter causes.
+def with_clock_voltages(inputs: Array, voltages: ClockVoltages, time_s: Array, updates: int) -> Array:
+    """Return voltages of rows that, interpolated between the rows, are those of a controller whose clock jitters.
 
-    Of n changes a row, each adds its impulse. Interpolation by the stamps of the rows contains 1 / n of one of them.
+    They lack the answers to the jitter of the rows. Of n changes a row, each adds its impulse.
 
     Args:
         inputs: Voltages in the rows, V, shape (..., n, drives).
-        impulses: Result of `clock_impulses`, V s, shape (n, drives).
+        voltages: What the clock's jitter does to them, for the same rows.
         time_s: Times of the rows, s, shape (n,).
         updates: Changes of the voltages from one row to the next; with one, nothing is missing.
 
     Returns:
         Voltages, V, shape (..., n, drives).
     """
-    missing = updates - 1.0 / updates
-    return np.asarray(inputs + impulses * (missing / float(np.median(np.diff(time_s)))))
+    if updates == 1:
+        return inputs
+    means = voltages.impulses * (updates / float(np.median(np.diff(time_s))))
+    return np.asarray(inputs - voltages.answers + means)
+
+
+def _lateness(time_s: Array, variance: float) -> Array:
+    """Return by how much each row was read later than a regular clock says, s, shape (n,); 0 where there is none."""
+    late = np.asarray(time_s - savgol_filter(time_s, _CLOCK_ROWS, 3))
+    late[np.abs(late) > _JUMP * np.sqrt(variance)] = 0.0  # a gap is no jitter
+    regular = np.mean(late**2) <= _WANDERS * variance
+    return late if regular else np.zeros_like(late)
 
 
 def _speed(time_s: Array, values: Array) -> Array:

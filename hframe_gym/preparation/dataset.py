@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..machine import Machine
+from .clock_voltages import ClockVoltages
 from .encoder_zeros import EncoderZeros
 from .initial_state import model_initial_states
 from .interpolated_voltages import Interpolation
@@ -82,8 +83,8 @@ class PreparedRecording:
             than the log. They are then interpolated between the rows (`interpolated_voltages`).
         interpolation: How they are interpolated.
         voltage_errors: What is known of the errors of interpolated voltages; None if the voltages are held.
-        clock_impulses: What the jitter of the controller's clock adds to voltages between the rows, V s, shape
-            (n, drives); None: nothing (`clock_voltages`).
+        clock_voltages: What the jitter of the controller's clock does to voltages that change between the rows; None:
+            nothing.
     """
 
     name: str
@@ -98,7 +99,7 @@ class PreparedRecording:
     updates: int = 1
     interpolation: Interpolation = "akima"
     voltage_errors: VoltageErrors | None = field(default=None, repr=False, compare=False)
-    clock_impulses: Array | None = field(default=None, repr=False)
+    clock_voltages: ClockVoltages | None = field(default=None, repr=False)
 
     def bandwidth(self, of_prediction: float) -> float:
         """Return the bandwidth of the observer that corrects a prediction of this run by the measurements.
@@ -123,10 +124,14 @@ class PreparedRecording:
             count: Number of rows to keep.
         """
         series = ("time_s", "inputs", "outputs", "noise", "weights", "dropped")
-        impulses = None if self.clock_impulses is None else self.clock_impulses[:count]
+        clock = None if self.clock_voltages is None else self.clock_voltages.rows(slice(count))
         return dataclasses.replace(
-            self, clock_impulses=impulses, **{name: getattr(self, name)[:count] for name in series}
+            self, clock_voltages=clock, **{name: getattr(self, name)[:count] for name in series}
         )
+
+    def without_clock_answers(self) -> Array:
+        """Return the voltages of the rows without the answers to the jitter of the clock, V, shape (n, drives)."""
+        return self.inputs if self.clock_voltages is None else self.inputs - self.clock_voltages.answers
 
     def initial_state(self, machine: Machine) -> Array:
         """Return the state from which a machine is simulated over this run.

@@ -179,7 +179,7 @@ def _part(run: PreparedRecording, start: int, rows: int, machine: Machine) -> Pr
         noise=run.noise[chosen],
         weights=np.where(np.isfinite(part.outputs), run.weights[chosen], 0.0),
         dropped=run.dropped[chosen],
-        clock_impulses=None if run.clock_impulses is None else run.clock_impulses[chosen],
+        clock_voltages=None if run.clock_voltages is None else run.clock_voltages.rows(chosen),
     )
 
 

@@ -13,7 +13,7 @@ from ..errors import merge_run_warnings
 from ..machine import Machine
 from ..recordings import Recording, fill_gaps
 from .clock_jitter import clock_jitter, noise_by_row
-from .clock_voltages import clock_impulses
+from .clock_voltages import clock_voltages
 from .criteria import SaturationCriteria
 from .dataset import Dataset, PreparedRecording
 from .drive_signs import turned_coordinates, with_turned
@@ -147,7 +147,7 @@ def prepare(recordings: Sequence[Recording], machine: Machine) -> Dataset:
             dropped=np.isin(
                 run.time_s, recorded.time_s, invert=True
             ),  # `fill_gaps` keeps recorded times exactly
-            clock_impulses=clock_impulses(run.time_s, run.inputs, run.outputs[:, of_position]),
+            clock_voltages=clock_voltages(run.time_s, run.inputs, run.outputs[:, of_position]),
         )
         for recorded, run, state in zip(recordings, filled, initial, strict=True)
     )

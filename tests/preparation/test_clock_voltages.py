@@ -1,4 +1,4 @@
-"""Tests of the mean voltages that the jitter of a controller's clock causes between the rows of a slow log."""
+"""Tests of what the jitter of a controller's clock does to the voltages of a slow log."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hframe_gym.arrays import Array
-from hframe_gym.preparation.clock_voltages import clock_impulses, with_clock_impulses
+from hframe_gym.preparation.clock_voltages import clock_voltages, with_clock_voltages
 from hframe_gym.preparation.interpolated_voltages import update_times, updated_inputs
 
 PERIOD, ROWS = 1e-3, 1500  # s, of the controller; rows of a log
@@ -42,8 +42,8 @@ def missing_back_emf(updates: int, *, corrected: bool) -> float:
 
     def of_log(seed: int) -> float:
         stamps, logged, angles, time_s, inputs, speed = controlled(updates, jitter=100e-6, seed=seed)
-        impulses = clock_impulses(stamps, logged, angles)
-        rows = with_clock_impulses(logged, impulses, stamps, updates) if corrected else logged
+        clock = clock_voltages(stamps, logged, angles)
+        rows = with_clock_voltages(logged, clock, stamps, updates) if corrected else logged
         between = updated_inputs(stamps, rows, updates)[:-1, 0] * np.diff(update_times(stamps, updates))
         lacking = inputs[:-1, 0] * np.diff(time_s) - between
         return float(np.sum(lacking * speed[:-1]) / np.sum(speed[:-1] ** 2 * PERIOD))
@@ -66,15 +66,37 @@ def test_interpolated_voltages_have_the_mean_that_the_jitter_causes(updates: int
         (100e-6, 0.0, 0.0),  # the controller divides by the time that has passed
     ],
 )
-def test_without_answers_to_jitter_nothing_is_added(jitter: float, stamps: float, answer: float) -> None:
+def test_without_answers_to_jitter_nothing_changes(jitter: float, stamps: float, answer: float) -> None:
     log = controlled(4, jitter=jitter, stamps=stamps, answer=answer)
-    impulses = clock_impulses(*log[:3])
-    assert np.abs(impulses).max() < 0.03 * 10.0 * abs(ANSWER) * (100e-6) ** 2
+    clock = clock_voltages(*log[:3])
+    assert np.abs(clock.impulses).max() < 0.03 * 10.0 * abs(ANSWER) * (100e-6) ** 2
+    assert clock.answers.std() < 0.03 * 10.0 * abs(ANSWER) * 100e-6
+
+
+def test_interpolated_voltages_lack_the_answers_to_the_jitter_of_the_rows() -> None:
+    stamps, inputs, angles, *_, speed = controlled(4, jitter=100e-6)
+    rows = with_clock_voltages(inputs, clock_voltages(stamps, inputs, angles), stamps, 4)
+    smooth = 0.2 * speed[::4, None]
+    assert (inputs - smooth).std() > 0.015  # V; noise and converter have 5 mV
+    assert (rows - smooth).std() < 0.007
+
+
+def test_a_clock_that_wanders_shows_no_answers_of_rows() -> None:
+    stamps, _, angles, *_, speed = controlled(4, jitter=0.0)
+    late = np.cumsum(np.random.default_rng(1).normal(0.0, 100e-6, ROWS + 1))  # s
+    inputs = ANSWER * (speed[::4] * late)[:, None]
+    angles = angles + (speed[::4] * late)[:, None]
+    clock = clock_voltages(stamps + late, inputs, angles)
+    assert clock.impulses.any()
+    assert not clock.answers.any()
 
 
 def test_a_log_with_all_voltages_or_few_rows_stays_as_it_is() -> None:
     stamps, inputs, angles, *_ = controlled(1, jitter=100e-6)
-    impulses = clock_impulses(stamps, inputs, angles)
-    np.testing.assert_array_equal(with_clock_impulses(inputs, impulses, stamps, 1), inputs)
-    assert not clock_impulses(stamps[:50], inputs[:50], angles[:50]).any()
-    assert not clock_impulses(stamps, inputs, np.full_like(angles, np.nan)).any()
+    clock = clock_voltages(stamps, inputs, angles)
+    np.testing.assert_array_equal(with_clock_voltages(inputs, clock, stamps, 1), inputs)
+    for unknown in (
+        clock_voltages(stamps[:50], inputs[:50], angles[:50]),
+        clock_voltages(stamps, inputs, np.full_like(angles, np.nan)),
+    ):
+        assert not np.any(unknown)

@@ -411,9 +411,12 @@ def _smoothed(run: PreparedRecording) -> PreparedRecording:
         if measured.any():
             values[:] = np.interp(run.time_s, run.time_s[measured], values[measured])
     time_s, inputs, outputs = (
-        savgol_filter(values, _SMOOTHED_ROWS, 3, axis=0) for values in (run.time_s, run.inputs, outputs)
+        savgol_filter(values, _SMOOTHED_ROWS, 3, axis=0)
+        for values in (run.time_s, run.without_clock_answers(), outputs)
     )
-    return dataclasses.replace(run, time_s=time_s, inputs=inputs, outputs=outputs)
+    clock = run.clock_voltages
+    clock = None if clock is None else clock._replace(answers=np.zeros_like(inputs))  # they are removed
+    return dataclasses.replace(run, time_s=time_s, inputs=inputs, outputs=outputs, clock_voltages=clock)
 
 
 def _earlier(rows: Array) -> Array:

@@ -24,7 +24,7 @@ from ...dynamics.simulation import Motion, threads
 from ...machine import Machine, carried_through_contacts
 from ...parallel import single_threaded_linear_algebra
 from ...preparation.belt_stretch import rigid_basis
-from ...preparation.clock_voltages import with_clock_impulses
+from ...preparation.clock_voltages import with_clock_voltages
 from ...preparation.dataset import Dataset, PreparedRecording
 from ...preparation.interpolated_voltages import at_updates, update_times, updated_inputs
 from ...preparation.sensor_zeros import max_zero_means, sensor_zero_error
@@ -246,8 +246,8 @@ def predict(
         gains = observer_gains(machine, period, bandwidth)
     time_s, inputs = run.time_s, run.inputs if inputs is None else inputs
     if run.updates > 1:
-        if run.clock_impulses is not None:
-            inputs = with_clock_impulses(inputs, run.clock_impulses, time_s, run.updates)
+        if run.clock_voltages is not None:
+            inputs = with_clock_voltages(inputs, run.clock_voltages, time_s, run.updates)
         time_s, inputs = (
             update_times(time_s, run.updates),
             updated_inputs(time_s, inputs, run.updates, run.interpolation),

@@ -125,7 +125,9 @@ def simulation_error(machine: Machine, data: Dataset) -> Array:
 
     def draws(run: PreparedRecording) -> Array:
         # Interpolated between the rows, independent errors of the rows add up like those of the mean voltages.
-        deviations = np.sqrt(np.vstack([interpolation_variance(run.inputs), np.zeros(len(machine.drives))]))
+        deviations = np.sqrt(
+            np.vstack([interpolation_variance(run.without_clock_answers()), np.zeros(len(machine.drives))])
+        )
         return (
             np.concatenate([np.zeros((1, *deviations.shape)), rng.normal(size=(_DRAWS, *deviations.shape))])
             * deviations
@@ -284,6 +286,6 @@ class InterpolationErrors(VoltageErrors):
         )
         # Where the machine diverges, its residual is infinite anyway; responses must not make the covariance so.
         per_volt.data[~(np.abs(per_volt.data) < _LARGEST_RESPONSE)] = 0.0
-        deviations = np.sqrt(interpolation_variance(self._run.inputs)).ravel()
+        deviations = np.sqrt(interpolation_variance(self._run.without_clock_answers())).ravel()
         per_volt.data *= deviations[per_volt.indices]
         return per_volt

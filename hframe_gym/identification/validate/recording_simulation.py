@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ...arrays import Array
 from ...dynamics import resolved_step, simulate, simulate_batch
 from ...machine import Machine, Trajectory
-from ...preparation.clock_voltages import clock_impulses, with_clock_impulses
+from ...preparation.clock_voltages import clock_voltages, with_clock_voltages
 from ...preparation.encoder_zeros import EncoderZeros
 from ...preparation.initial_state import measured_initial_state, model_initial_states
 from ...preparation.interpolated_voltages import update_times, updated_inputs
@@ -172,8 +172,8 @@ def _updated(machine: Machine, recording: Recording, updates: int) -> tuple[Arra
     if updates == 1:
         return recording.time_s, recording.inputs
     of_position = [sensor.of_position for sensor in machine.sensors]
-    impulses = clock_impulses(recording.time_s, recording.inputs, recording.outputs[:, of_position])
-    inputs = with_clock_impulses(recording.inputs, impulses, recording.time_s, updates)
+    clock = clock_voltages(recording.time_s, recording.inputs, recording.outputs[:, of_position])
+    inputs = with_clock_voltages(recording.inputs, clock, recording.time_s, updates)
     return update_times(recording.time_s, updates), updated_inputs(recording.time_s, inputs, updates)
 
 
