@@ -568,6 +568,11 @@ def _further_sensor(machine: Machine, text: str) -> Sensor:
             f"--sensor {text}: {kind} is measured at a {component}, and {part!r} is none; {available}"
             f"{suggestion(part, parts[component])}"
         )
+    if SENSOR_KINDS.get(kind).turn is not None and machine.coordinate(part).kind != "rotary":
+        raise InputError(
+            f"--sensor {text}: {kind} measures an angle within one turn, and {part} is linear; choose the kind "
+            "encoder or laser, or a rotary coordinate"
+        )
     ending = machine.sensor_unit(Sensor("", {part: 1.0}, kind=kind)).replace("^", "").replace("/", "_")
     channel = f"{part}_{ending}"
     if channel in machine.input_channels + machine.output_channels:

@@ -222,6 +222,11 @@ def test_a_preset_reaches_its_goals_with_the_controller_for_its_drives(name: str
         ("corexy", {"drive": "curent"}, "did you mean 'current'?"),
         ("servo", {"drive": "current"}, "--drive: servo has none"),
         ("axis", {"sensor": ("speed",)}, "--sensor speed: write KIND@PART, for example speed@x"),
+        (
+            "axis",
+            {"sensor": ("absolute-angle@x",)},
+            "absolute-angle measures an angle within one turn, and x is linear",
+        ),
         ("axis", {"sensor": ("sped@x",)}, "--sensor sped@x: sensor kind 'sped' is unknown"),
         (
             "corexy",
