@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,20 @@ _UNDECLARED_PRIOR = 0.5
 # units of the prior's standard deviation) relative to the largest one, and the fraction of its variance that is along
 # the direction.
 _MIN_MEMBERSHIP = 0.1
+
+
+class DeterminedSum(NamedTuple):
+    """Weighted sum of parameters that the data determine.
+
+    Attributes:
+        weights: Weights by parameter name; that of the first parameter is 1.
+        value: Its value, in the unit of the first parameter.
+        std: Its standard deviation, in the same unit.
+    """
+
+    weights: dict[str, float]
+    value: float
+    std: float
 
 
 @dataclass(frozen=True)
@@ -46,27 +61,15 @@ class InseparableParameters:
         sums = [sum_text(weights) for weights in self.combinations]
         return f"only {' and '.join(sums)} {'is' if len(sums) == 1 else 'are'} determined"
 
-    def as_json(self, machine: Machine) -> dict[str, object]:
-        """Convert these parameters to an entry of the list `not_separable` in report.json.
+    def determined(self, machine: Machine) -> tuple[DeterminedSum, ...]:
+        """Return the weighted sums that the data determine, with their values.
 
         Args:
             machine: Identified machine with its uncertainty.
-
-        Returns:
-            "parameters": names of the parameters. "determined": one dictionary for each weighted sum that the data
-            determine, with its "weights" by parameter name, its "value", and its standard deviation "std". Value and
-            standard deviation are in the unit of the sum's first parameter, whose weight is 1.
         """
-        return {
-            "parameters": list(self.names),
-            "determined": [
-                {
-                    "weights": weights,
-                    **dict(zip(("value", "std"), _value_and_std(machine, weights), strict=True)),
-                }
-                for weights in self.combinations
-            ],
-        }
+        return tuple(
+            DeterminedSum(weights, *_value_and_std(machine, weights)) for weights in self.combinations
+        )
 
 
 def sum_text(weights: Mapping[str, float]) -> str:

@@ -43,20 +43,6 @@ class UndeclaredFriction:
     unit: str
     share: float | None
 
-    def as_json(self) -> dict[str, object]:
-        """Return an entry of the list "undeclared_friction" in report.json.
-
-        Returns:
-            "parameter", its "value", "std" and "unit", and "percent_of_drives", which is None for viscous friction.
-        """
-        return {
-            "parameter": self.name,
-            "value": self.value,
-            "std": self.std,
-            "unit": self.unit,
-            "percent_of_drives": None if self.share is None else 100.0 * self.share,
-        }
-
 
 def undeclared_friction(machine: Machine, declared: Machine) -> tuple[UndeclaredFriction, ...]:
     """Find friction that is declared as zero and clearly is not.

@@ -20,8 +20,9 @@ from ..predict.voltage_errors import simulation_error
 from ..propose.dependences import rank_dependences
 from ..search.checked_search import CheckedOutcome
 from ..validate.simpler_machines import Delivered
+from .document import Hint, UnknownVoltages
 from .experiment_design import design_discriminating_experiment
-from .result import Hint, IdentificationResult, RejectedEffect, Unfinished, UnknownVoltages
+from .result import IdentificationResult, RejectedEffect, Unfinished
 
 _UNEXCITED = (
     "The held-out runs do not excite {}: the gain on them says nothing, and only the fitted runs confirm it. Hold out "
@@ -92,11 +93,11 @@ def _unknown_voltages(machine: Machine, held_out: Dataset, fitted: Fit) -> Unkno
     errors = simulation_error(machine, held_out)
     by_channel = {s.channel: float(e) for s, e in zip(machine.sensors, errors, strict=True)}
     return UnknownVoltages(
-        held_out.updates,
-        held_out.period / held_out.updates,
-        by_channel,
-        fitted.covariance is not None,
-        machine.commands_in_words,
+        commands=machine.commands_in_words,
+        changes_per_row=held_out.updates,
+        period_s=held_out.period / held_out.updates,
+        errors=by_channel,
+        fitted_by="white residual" if fitted.covariance is None else "instruments",
     )
 
 
@@ -111,7 +112,12 @@ def _hint(result: IdentificationResult) -> Hint | None:
     component = strongest.component or next(iter(result.after.deviating_sensors), strongest.coordinate)
     nearest = sorted(result.considered, key=lambda entry: -entry.held_out_gain)
     labels = dict.fromkeys(entry.effect.label for entry in nearest if entry.held_out_gain > 0.0)
-    return Hint(component, strongest.variable, strongest.explained, tuple(labels)[:_MAX_NEAREST])
+    return Hint(
+        component=component,
+        variable=strongest.variable,
+        share=round(strongest.explained, 4),
+        nearest=list(labels)[:_MAX_NEAREST],
+    )
 
 
 def _rejected(

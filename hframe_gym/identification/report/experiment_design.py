@@ -16,7 +16,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,15 +85,6 @@ class ExperimentDesign:
             f"{first} and {second} explain the recordings equally well. On this run their predictions should differ "
             f"{size}, even after a refit of the parameters of {second}. Start at rest at zero."
         )
-
-    def as_json(self) -> dict[str, Any]:
-        """Convert the design, without its voltages, to a dictionary, the entry `next_experiment` of report.json.
-
-        Returns:
-            "separates": labels (name@component) of the two effects; "file": name of the file with the voltages; "why":
-            purpose of the run.
-        """
-        return {"separates": list(self.separates), "file": FILE, "why": self.why}
 
     def write(self, path: Path, machine: Machine) -> None:
         """Write the sample times, s, and commands as a CSV file with the columns time_s and one per input channel.

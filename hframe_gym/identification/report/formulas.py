@@ -35,6 +35,7 @@ from ..judge.table import recommended_formula
 from ..predict.free_parameters import FreeParameter, default_free_parameters
 from ..predict.prediction import POLISH_STEP, SEARCH_BANDWIDTH, SEARCH_STEP, SIMULATION
 from ..propose.candidates import effect_parameters
+from . import document
 from .result import IdentificationResult
 
 _NAME = "proposed"  # Name of a formula as an effect until the user chooses one.
@@ -69,26 +70,19 @@ class ProposedFormula:
         return mean_error(self.held_out)
 
     def as_json(self) -> dict[str, Any]:
-        """Convert the formula to a dictionary, as report.json lists it among the formulas for the same table.
-
-        Returns:
-            "table": label (name@component) of the table; "terms": names of the terms; "formula": the equation as text;
-            "parameters": values by name, SI; "complexity": number of parameters; "curve_error": rms error at values of
-            the table that were left out of the fit, in their standard deviations; "fitted", "held_out" (by channel):
-            rms errors on runs, in units of the sensor noise; "recommended": whether it is the recommended formula.
-        """
+        """Return the formula as in report.json (`document.Formula`)."""
         effect, formula = self.effect, self.effect.formula
-        return {
-            "table": effect.table.label,
-            "terms": [term.name for term in formula.terms],
-            "formula": effect.text,
-            "parameters": effect.values,
-            "complexity": formula.complexity,
-            "curve_error": formula.error,
-            "fitted": self.fitted,
-            "held_out": self.held_out,
-            "recommended": self.recommended,
-        }
+        return document.Formula(
+            table=effect.table.label,
+            terms=[term.name for term in formula.terms],
+            formula=effect.text,
+            parameters=effect.values,
+            complexity=formula.complexity,
+            curve_error=formula.error,
+            fitted=self.fitted,
+            held_out=self.held_out,
+            recommended=self.recommended,
+        ).as_json()
 
     @classmethod
     def from_json(cls, entry: dict[str, Any], machine: Machine, table: AppliedEffect) -> ProposedFormula:
@@ -172,19 +166,16 @@ class TableComparison:
         return mean_error(self.held_out)
 
     def as_json(self) -> dict[str, Any]:
-        """Convert the comparison to a dictionary, an entry of the list `proposed_formulas` in report.json.
-
-        Returns:
-            "table": label (name@component) of the table; "complexity": number of its values; "fitted", "held_out" (by
-            channel): rms errors with the table, in units of the sensor noise; "formulas": list of the formulas.
-        """
-        return {
-            "table": self.table.label,
-            "complexity": KNOTS,
-            "fitted": self.fitted,
-            "held_out": self.held_out,
-            "formulas": [formula.as_json() for formula in self.formulas],
-        }
+        """Return the comparison as in report.json (`document.TableOfFormulas`)."""
+        return document.TableOfFormulas.model_validate(
+            {
+                "table": self.table.label,
+                "complexity": KNOTS,
+                "fitted": self.fitted,
+                "held_out": self.held_out,
+                "formulas": [formula.as_json() for formula in self.formulas],
+            }
+        ).as_json()
 
 
 def tables_of(machine: Machine) -> tuple[AppliedEffect, ...]:

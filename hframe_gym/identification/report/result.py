@@ -31,10 +31,10 @@ from ..judge.table import is_better_than_table
 from ..judge.verdict import Verdict
 from ..validate.machine_errors import ModelEvaluation, PredictionErrors
 from ..validate.simpler_machines import PlainResult
+from . import document
 from .experiment_design import FILE, ExperimentDesign
 from .provenance import provenance
 
-SCHEMA = 1
 STAGES = ("declared", "before", "after")  # keys of the three machines in report.json
 _MAX_POINTS = 4000  # Points of a thinned curve in evidence.npz.
 
@@ -57,51 +57,15 @@ class RejectedEffect:
     held_out_gain: float
     reason: str
 
-    def as_json(self) -> dict[str, Any]:
-        """Convert the rejected effect to an entry of the list `considered` in report.json.
-
-        Returns:
-            "name"; "site": component on which the effect acts; "parameters": values by name, SI; "size": force relative
-            to that of the drives, None if no force describes the effect; "held_out_gain": fraction of the squared error
-            of the held-out runs that the effect removes, None if it is not finite; "reason": why it was rejected.
-        """
-        return {
-            "name": self.effect.name,
-            "site": self.effect.site,
-            "parameters": {name: float(value) for name, value in self.effect.parameters.items()},
-            "size": _finite_or_none(self.size),
-            "held_out_gain": _finite_or_none(self.held_out_gain),
-            "reason": self.reason,
-        }
-
 
 def _finite_or_none(value: float) -> float | None:
     """Return None for a value that JSON cannot hold."""
     return value if math.isfinite(value) else None
 
 
-class Hint(NamedTuple):
-    """What the force that a machine lacks depends on, where no effect of the library is named.
-
-    Attributes:
-        component: Coordinate on which the force acts, or the channel of the sensor that deviates alone.
-        variable: Variable on which it depends most, for example "current of motor1".
-        share: Fraction of its variance that a curve over this variable explains, beyond noise.
-        nearest: Labels (name@site) of effects that describe a part of it: neighbors in kind, no causes.
-    """
-
-    component: str
-    variable: str
-    share: float
-    nearest: tuple[str, ...]
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the hint as in report.json.
-
-        Returns:
-            "component", "variable", "share" and "nearest", a list of labels.
-        """
-        return self._asdict() | {"share": round(self.share, 4), "nearest": list(self.nearest)}
+def _percent(ratio: float | None) -> float | None:
+    """Return a ratio in percent; None if it is not known."""
+    return None if ratio is None else _finite_or_none(100.0 * ratio)
 
 
 class Unfinished(NamedTuple):
@@ -117,51 +81,12 @@ class Unfinished(NamedTuple):
     reason: str
     interrupted: bool = False
 
-    def as_json(self) -> dict[str, str]:
-        """Return the entry "unfinished" of report.json.
-
-        Returns:
-            "stage" and "reason", in words.
-        """
-        return {"stage": self.stage, "reason": self.reason}
-
     def __str__(self) -> str:
         """Return a sentence for the user."""
         return (
             f"The search is not complete: {self.reason} ({self.stage}). Effects and tables that would have followed "
             "were not tried, so the verdict is that of what was found until then. A larger --budget continues."
         )
-
-
-@dataclass(frozen=True)
-class UnknownVoltages:
-    """Voltages between the rows of a log that is slower than its controller, and what they do to a simulation.
-
-    Attributes:
-        per_row: How many times the controller changes the voltages from one row to the next.
-        period: Time from one change to the next, s.
-        errors: Root mean square error of a simulation of the held-out runs that this alone causes, by channel, in the
-            channel's unit.
-        by_instruments: Whether instruments gave the parameters of the delivered machine (`fit.slow_logs`); otherwise
-            the residual that the statistics of the voltages make white.
-        commands: What changes between the rows, as `Machine.commands_in_words` says.
-    """
-
-    per_row: int
-    period: float
-    errors: Mapping[str, float]
-    by_instruments: bool
-    commands: str = "voltages"
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the entry of report.json."""
-        return {
-            "commands": self.commands,
-            "changes_per_row": self.per_row,
-            "period_s": self.period,
-            "errors": dict(self.errors),
-            "fitted_by": "instruments" if self.by_instruments else "white residual",
-        }
 
 
 @dataclass(frozen=True)
@@ -215,10 +140,10 @@ class IdentificationResult:
     excluded: tuple[str, ...] = ()
     contradicting: tuple[str, ...] = ()
     reason: str = ""
-    hint: Hint | None = None
+    hint: document.Hint | None = None
     unfinished: Unfinished | None = None
     plain: PlainResult | None = None
-    unknown_voltages: UnknownVoltages | None = None
+    unknown_voltages: document.UnknownVoltages | None = None
 
     @property
     def explained(self) -> float:
@@ -271,82 +196,143 @@ class IdentificationResult:
         return (*unfinished, *self.limit_warnings, *self.divergence_warnings, *self.run_warnings)
 
     def as_json(self) -> dict[str, Any]:
-        """Return the content of report.json (schema 1), to which `write_result` adds warnings and formulas.
-
-        Returns:
-            By key: "verdict", "runs" (names), "declared", "before", "after" (errors of the three machines), "effects",
-            "residual", "considered" (rejected effects) and others, as dictionaries, lists, text and numbers.
-        """
-        machine = self.after.machine
-        groups = inseparable_parameters(machine, self.declared.machine)
-        errors = {stage: evaluation.held_out.as_json() for stage, evaluation in self.evaluations.items()}
-        for error in (
-            errors.values() if any(e.held_out.force is None for e in self.evaluations.values()) else ()
-        ):
-            # One machine has none: an effect added a coordinate without a drive.
-            error.pop("force_error", None)
-        return {
-            "schema": SCHEMA,
-            "verdict": self.verdict,
-            "runs": {
-                "fitted": [r.name for r in self.fitted.runs],
-                "held_out": [r.name for r in self.held_out.runs],
-            },
-            "reason": self.reason,
-            "unfinished": self.unfinished.as_json() if self.unfinished else None,
-            "unknown_voltages": self.unknown_voltages.as_json() if self.unknown_voltages else None,
-            "contradicting": list(self.contradicting),
-            **{stage: {"held_out": error} | self._missing_force(stage) for stage, error in errors.items()},
-            "plain": self.plain.as_json() if self.plain else None,
-            "effects": [self._effect(selected) for selected in self.effects],
-            "residual": {
-                "depends_on": [
-                    {
-                        "variable": d.variable,
-                        "coordinate": d.coordinate,
-                        "component": d.component or d.coordinate,
-                        "share": round(d.explained, 4),
-                    }
+        """Return the content of report.json (`document.Report`), to which `write_result` adds warnings and formulas."""
+        with_force = all(
+            e.held_out.force is not None for e in self.evaluations.values()
+        )  # else not comparable
+        declared, before, after = (
+            document.Evaluation(
+                held_out=_errors(evaluation.held_out, with_force=with_force),
+                missing_force_percent=_percent(evaluation.held_out.lacking),
+            )
+            for evaluation in self.evaluations.values()
+        )
+        unfinished, experiment = self.unfinished, self.experiment
+        return document.Report(
+            schema=document.SCHEMA,
+            verdict=self.verdict,
+            runs=document.Runs(
+                fitted=[r.name for r in self.fitted.runs], held_out=[r.name for r in self.held_out.runs]
+            ),
+            reason=self.reason,
+            unfinished=document.UnfinishedSearch(stage=unfinished.stage, reason=unfinished.reason)
+            if unfinished
+            else None,
+            unknown_voltages=self.unknown_voltages,
+            contradicting=list(self.contradicting),
+            declared=declared,
+            before=before,
+            after=after,
+            plain=_plain(self.plain) if self.plain else None,
+            effects=[self._effect(selected) for selected in self.effects],
+            residual=document.Residual(
+                depends_on=[
+                    document.Dependence(
+                        variable=d.variable,
+                        coordinate=d.coordinate,
+                        component=d.component or d.coordinate,
+                        share=round(d.explained, 4),
+                    )
                     for d in self.dependence
                 ],
-                "white": self.white,
-                "sensors": list(self.after.deviating_sensors),
-            },
-            "explained": _finite_or_none(self.explained),
-            "left": _finite_or_none(self.left),
-            "left_in_others": _finite_or_none(self.left_in_others),
-            "hint": self.hint.as_json() if self.hint else None,
-            "considered": [entry.as_json() for entry in self.considered],
-            "not_separable": [group.as_json(machine) for group in groups],
-            "undeclared_friction": [
-                friction.as_json() for friction in undeclared_friction(machine, self.declared.machine)
+                white=self.white,
+                sensors=list(self.after.deviating_sensors),
+            ),
+            explained=_finite_or_none(self.explained),
+            left=_finite_or_none(self.left),
+            left_in_others=_finite_or_none(self.left_in_others),
+            hint=self.hint,
+            considered=[_considered(entry) for entry in self.considered],
+            not_separable=self._not_separable(),
+            undeclared_friction=[
+                document.UndeclaredFriction(
+                    parameter=friction.name,
+                    value=friction.value,
+                    std=friction.std,
+                    unit=friction.unit,
+                    percent_of_drives=_percent(friction.share),
+                )
+                for friction in undeclared_friction(self.after.machine, self.declared.machine)
             ],
-            "next_experiment": self.experiment.as_json() if self.experiment else None,
-            "seconds": round(self.seconds, 2),
-            "criteria": self.criteria.as_json(),
-        }
+            next_experiment=document.Experiment(
+                separates=list(experiment.separates), file=FILE, why=experiment.why
+            )
+            if experiment
+            else None,
+            seconds=round(self.seconds, 2),
+            criteria=self.criteria.as_json(),
+        ).as_json()
 
-    def _missing_force(self, stage: str) -> dict[str, float | None]:
-        """Return the force that a machine lacks on the held-out runs in percent of that of the drives, by its key."""
-        lacking = self.evaluations[stage].held_out.lacking
-        return {"missing_force_percent": None if lacking is None else _finite_or_none(100.0 * lacking)}
+    def _not_separable(self) -> list[document.NotSeparable]:
+        """Return the parameters that the data do not separate as in report.json."""
+        machine = self.after.machine
+        return [
+            document.NotSeparable(
+                parameters=list(group.names),
+                determined=[
+                    document.DeterminedSum(**determined._asdict()) for determined in group.determined(machine)
+                ],
+            )
+            for group in inseparable_parameters(machine, self.declared.machine)
+        ]
 
-    def _effect(self, selected: SelectedEffect) -> dict[str, Any]:
+    def _effect(self, selected: SelectedEffect) -> document.Effect:
         """Return one effect as in report.json."""
         machine, effect = self.after.machine, selected.effect
-        parameters = {}
-        for key, value in effect.parameters.items():
-            std = machine.uncertainty.std(f"{effect.label}.{key}") if machine.uncertainty else None
-            parameters[key] = {"value": value, "std": std, "unit": machine.effect_unit(effect, key)}
-        return {
-            "name": effect.name,
-            "family": effect.definition.family,
-            "site": effect.site,
-            "parameters": parameters,
-            "size": _finite_or_none(self.sizes[effect.label]),
-            "held_out_gain": self.gains[effect.label],
-            "rivals": list(selected.rivals),
+        stds = {
+            key: machine.uncertainty.std(f"{effect.label}.{key}") if machine.uncertainty else None
+            for key in effect.parameters
         }
+        return document.Effect(
+            name=effect.name,
+            family=effect.definition.family,
+            site=effect.site,
+            parameters={
+                key: document.ParameterValue(
+                    value=value, std=stds[key], unit=machine.effect_unit(effect, key)
+                )
+                for key, value in effect.parameters.items()
+            },
+            size=_finite_or_none(self.sizes[effect.label]),
+            held_out_gain=self.gains[effect.label],
+            rivals=list(selected.rivals),
+        )
+
+
+def _errors(
+    errors: PredictionErrors, *, with_force: bool = True
+) -> dict[str, document.ChannelErrors | float]:
+    """Return the errors of a machine as in report.json."""
+    by_channel: dict[str, document.ChannelErrors | float] = {}
+    for channel, error in errors.channels.items():
+        motion = {} if error.motion_ratio is None else {"percent_of_motion": 100.0 * error.motion_ratio}
+        by_channel[channel] = document.ChannelErrors(rmse=error.rmse, noise_ratio=error.noise_ratio, **motion)
+    if with_force and errors.force is not None:
+        by_channel["force_error"] = errors.force
+    return by_channel
+
+
+def _plain(plain: PlainResult) -> document.Plain:
+    """Return the plain fit as in report.json."""
+    errors = plain.evaluation.held_out
+    return document.Plain(
+        held_out=_errors(errors),
+        missing_force_percent=_percent(errors.lacking),
+        terms=list(plain.terms),
+        delivered=plain.delivered,
+    )
+
+
+def _considered(rejected: RejectedEffect) -> document.Considered:
+    """Return a rejected effect as in report.json."""
+    return document.Considered(
+        name=rejected.effect.name,
+        site=rejected.effect.site,
+        parameters={name: float(value) for name, value in rejected.effect.parameters.items()},
+        size=_finite_or_none(rejected.size),
+        held_out_gain=_finite_or_none(rejected.held_out_gain),
+        reason=rejected.reason,
+    )
 
 
 class ReportEntry(Protocol):

@@ -5,10 +5,10 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import ValidationError
 
 from ...arrays import Array
 from ...controllers import shorter_period
@@ -20,207 +20,9 @@ from ...files import complete_commit, newest, read_arrays, read_document
 from ...machine import Machine
 from ...operating_system import quoted
 from ...recordings import load_machine
-from ..judge.verdict import Verdict
+from .document import Report
 from .formulas import ProposedFormula, mean_error, propose_formulas, tables_of
 from .result import STAGES
-
-
-class _Entry(BaseModel):
-    """Base of the entries of report.json; unknown fields are ignored."""
-
-    model_config = ConfigDict(extra="ignore", strict=True)
-
-
-class _Runs(_Entry):
-    """Names of the runs."""
-
-    fitted: list[str]
-    held_out: list[str] = Field(min_length=1)
-
-
-class _ChannelErrors(_Entry):
-    """Errors of one channel."""
-
-    rmse: FiniteFloat | None
-    noise_ratio: FiniteFloat | None
-    percent_of_motion: FiniteFloat | None = None
-
-
-class _Evaluation(_Entry):
-    """Errors by channel, and force_error where the machine has one."""
-
-    held_out: dict[str, _ChannelErrors | FiniteFloat]
-    missing_force_percent: FiniteFloat | None = None
-
-
-class _ParameterEntry(_Entry):
-    """Value of an effect's parameter."""
-
-    value: FiniteFloat
-    std: FiniteFloat | None
-    unit: str
-
-
-class _EffectEntry(_Entry):
-    """A selected effect."""
-
-    name: str
-    site: str
-    parameters: dict[str, _ParameterEntry]
-    size: FiniteFloat | None = None
-    held_out_gain: FiniteFloat
-    rivals: list[str]
-
-
-class _DependenceEntry(_Entry):
-    """A variable that the residual force depends on."""
-
-    variable: str
-    coordinate: str
-    component: str = ""
-    share: FiniteFloat
-
-
-class _Residual(_Entry):
-    """Properties of the residual."""
-
-    depends_on: list[_DependenceEntry]
-    white: bool
-    sensors: list[str] = []
-
-
-class _Experiment(_Entry):
-    """The proposed experiment."""
-
-    why: str
-    file: str
-
-
-class _ConsideredEntry(_Entry):
-    """An effect that was tried and rejected."""
-
-    name: str
-    site: str
-    size: FiniteFloat | None
-    held_out_gain: FiniteFloat | None
-    reason: str
-
-
-class _FormulaEntry(_Entry):
-    """A formula that may replace a table."""
-
-    terms: list[str]
-    formula: str
-    parameters: dict[str, FiniteFloat]
-    complexity: int
-    curve_error: FiniteFloat
-    fitted: FiniteFloat | None
-    held_out: dict[str, FiniteFloat]
-    recommended: bool
-
-
-class _TableEntry(_Entry):
-    """A table with the formulas proposed for it."""
-
-    table: str
-    complexity: int
-    fitted: FiniteFloat
-    held_out: dict[str, FiniteFloat]
-    formulas: list[_FormulaEntry]
-
-
-class _DeterminedSum(_Entry):
-    """Weighted sum of parameters that the data determine."""
-
-    weights: dict[str, FiniteFloat]
-    value: FiniteFloat
-    std: FiniteFloat
-
-
-class _NotSeparable(_Entry):
-    """Parameters that the data do not separate."""
-
-    parameters: list[str]
-    determined: list[_DeterminedSum]
-
-
-class _UndeclaredFriction(_Entry):
-    """Friction that the machine file does not declare."""
-
-    parameter: str
-    value: FiniteFloat
-    std: FiniteFloat | None
-    unit: str
-    percent_of_drives: FiniteFloat | None
-
-
-class _Hint(_Entry):
-    """What the force that the machine lacks depends on, where no effect is named."""
-
-    component: str
-    variable: str
-    share: FiniteFloat
-    nearest: list[str]
-
-
-class _Unfinished(_Entry):
-    """A search that ended before it was complete."""
-
-    stage: str
-    reason: str
-
-
-class _File(_Entry):
-    """A file of recordings."""
-
-    name: str
-    bytes: int
-    sha256: str
-
-
-class _Made(_Entry):
-    """Where the result comes from."""
-
-    software: str
-    time: str
-    by: str = ""
-    files: list[_File] = []
-
-
-class _Plain(_Evaluation):
-    """Errors of the plain fit."""
-
-    terms: list[str] = []
-    delivered: bool = False
-
-
-class _Report(_Entry):
-    """Content of report.json that the report uses."""
-
-    version: Literal[1] = Field(alias="schema")
-    verdict: Verdict
-    runs: _Runs
-    declared: _Evaluation
-    before: _Evaluation
-    after: _Evaluation
-    plain: _Plain | None = None
-    effects: list[_EffectEntry]
-    residual: _Residual
-    explained: FiniteFloat | None = None
-    contradicting: list[str] = []
-    left: FiniteFloat | None = None
-    left_in_others: FiniteFloat | None = None
-    considered: list[_ConsideredEntry] = []
-    not_separable: list[_NotSeparable] = []
-    undeclared_friction: list[_UndeclaredFriction] = []
-    next_experiment: _Experiment | None
-    seconds: FiniteFloat
-    warnings: list[str] = []
-    reason: str = ""
-    hint: _Hint | None = None
-    unfinished: _Unfinished | None = None
-    proposed_formulas: list[_TableEntry] = []
-    made: _Made | None = None
 
 
 @dataclass(frozen=True)
@@ -258,7 +60,7 @@ def load_result(folder: Path) -> SavedResult:
         raise InputError(f"{folder}: no report.json here; run `hframe identify RUNS --out {folder}` first")
     try:
         text = read_document(newest(folder / "report.json"))
-        report = _Report.model_validate_json(text).model_dump(by_alias=True)
+        report = Report.model_validate_json(text).model_dump(by_alias=True)
     except ValidationError as error:
         first = error.errors()[0]
         field = ".".join(map(str, first["loc"])) or "is not valid"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -51,21 +50,6 @@ class PredictionErrors:
         """Ratio of simulation error to motion, rms over the channels that move; NaN if there is none."""
         ratios = [error.motion_ratio for error in self.channels.values() if error.motion_ratio is not None]
         return float(np.sqrt(np.mean(np.square(ratios)))) if ratios else float("nan")
-
-    def as_json(self) -> dict[str, Any]:
-        """Convert the errors to the format of report.json.
-
-        Returns:
-            By channel name, a dictionary with "rmse" (simulation error, in the channel's unit), "noise_ratio" (rmse
-            / standard deviation of the noise) and, if it moves, "percent_of_motion" (100 rmse / rms motion). In
-            addition "force_error", the relative error of the drives' force, dimensionless, if there is one.
-        """
-        content: dict[str, Any] = {
-            channel: {"rmse": error.rmse, "noise_ratio": error.noise_ratio}
-            | ({} if error.motion_ratio is None else {"percent_of_motion": 100.0 * error.motion_ratio})
-            for channel, error in self.channels.items()
-        }
-        return content if self.force is None else content | {"force_error": self.force}
 
 
 @dataclass(frozen=True)

@@ -6,10 +6,9 @@ Where the search names nothing, the remaining error of complete runs is describe
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -74,22 +73,6 @@ class PlainResult:
     evaluation: ModelEvaluation
     terms: tuple[str, ...] = ()
     delivered: bool = False
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the entry "plain" of report.json.
-
-        Returns:
-            "held_out", errors as those of the other machines; "missing_force_percent"; "terms"; "delivered".
-        """
-        lacking = self.evaluation.held_out.lacking
-        return {
-            "held_out": self.evaluation.held_out.as_json(),
-            "missing_force_percent": None
-            if lacking is None or not math.isfinite(lacking)
-            else 100.0 * lacking,
-            "terms": list(self.terms),
-            "delivered": self.delivered,
-        }
 
 
 class Delivered(NamedTuple):

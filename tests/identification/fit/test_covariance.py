@@ -80,11 +80,11 @@ def test_inseparable_parameters_keep_the_spread_of_the_prior(identified: Machine
     viscous, back_emf = 0.7 * axis.parameters["x.viscous"], 0.2 * drive.back_emf
     std = viscous * back_emf / np.hypot(viscous, back_emf)
     assert identified.uncertainty.std("x.viscous") == pytest.approx(std, rel=0.15)
-    ((weights,), (entry,)) = group.combinations, group.as_json(identified)["determined"]
+    ((weights, value, deviation),) = group.determined(identified)
     assert weights["motor.Ke"] / weights["x.viscous"] == pytest.approx(drive.back_emf / drive.Ke, rel=0.01)
     true = sum(weight * axis.parameters[name] for name, weight in weights.items())
-    assert entry["std"] < 0.01 * true
-    assert entry["value"] == pytest.approx(true, abs=4 * entry["std"])
+    assert deviation < 0.01 * true
+    assert value == pytest.approx(true, abs=4 * deviation)
     doubts = parameter_doubts(identified, axis)
     assert doubts["x.viscous"] == doubts["motor.Ke"] == [group.describe()]
     assert doubts["x.mass"] == []
@@ -92,14 +92,14 @@ def test_inseparable_parameters_keep_the_spread_of_the_prior(identified: Machine
 
 def test_samples_of_inseparable_parameters_keep_their_sum(identified: Machine, axis: Machine) -> None:
     (group,) = inseparable_parameters(identified, axis)
-    (entry,) = group.as_json(identified)["determined"]
+    (entry,) = group.determined(identified)
     sampler = MachineSampler(identified, "identified", 2000)
     for b in range(2000):
         sampler.seed(b, np.random.default_rng(b))
     _, _, values = sampler.sample(np.arange(2000), 0)
-    columns = [sampler.space.names.index(name) for name in entry["weights"]]
-    sums = values[:, columns] @ list(entry["weights"].values())
-    assert sums.std() == pytest.approx(entry["std"], rel=0.1)
+    columns = [sampler.space.names.index(name) for name in entry.weights]
+    sums = values[:, columns] @ list(entry.weights.values())
+    assert sums.std() == pytest.approx(entry.std, rel=0.1)
     assert (values[:, columns] > 0.0).all()
 
 
@@ -194,13 +194,9 @@ def test_friction_that_the_file_does_not_declare_is_a_finding_if_it_is_certain(a
     (found,) = undeclared_friction(with_standard_deviations(rough, {"x.coulomb": 0.1, "x.mass": 0.1}), smooth)
     (drive,) = axis.drives
     largest = drive.gain * drive.rated_voltage / axis.coordinates[0].travel_per_unit
-    assert found.as_json() == {
-        "parameter": "x.coulomb",
-        "value": 3.0,
-        "std": pytest.approx(0.3),
-        "unit": "N",
-        "percent_of_drives": pytest.approx(100.0 * 3.0 / largest),
-    }
+    assert (found.name, found.value, found.unit) == ("x.coulomb", 3.0, "N")
+    assert found.std == pytest.approx(0.3)
+    assert found.share == pytest.approx(3.0 / largest)
     assert undeclared_friction(rough, smooth)[0].std is None
     assert not undeclared_friction(with_standard_deviations(rough, {"x.coulomb": 0.5, "x.mass": 0.1}), smooth)
     assert not undeclared_friction(smooth.replace({"x.coulomb": 1e-3}), smooth)

@@ -30,13 +30,14 @@ from hframe_gym.identification.report.answers import (
 )
 from hframe_gym.identification.report.correlations import CONFIDENCE, correlation
 from hframe_gym.identification.report.curves import page_curves, worst_first
+from hframe_gym.identification.report.document import Hint, UnknownVoltages
 from hframe_gym.identification.report.effect_curves import effect_curve
 from hframe_gym.identification.report.error_dependence import error_panels
 from hframe_gym.identification.report.experiment_design import FILE, ExperimentDesign
 from hframe_gym.identification.report.instructions import next_steps
 from hframe_gym.identification.report.page import build_report
 from hframe_gym.identification.report.plots import report_panels
-from hframe_gym.identification.report.result import Hint, Unfinished, Verdict, plot_data
+from hframe_gym.identification.report.result import Unfinished, Verdict, plot_data
 from hframe_gym.identification.report.saved_result import load_result, next_command
 from hframe_gym.identification.validate.machine_errors import PredictionErrors
 from hframe_gym.identification.validate.simpler_machines import PlainResult
@@ -119,6 +120,31 @@ def test_the_proposed_experiment_is_written_and_an_old_one_is_removed(data: Data
     page = page_of(result_of(data, "effect_found", STRIBECK), tmp_path)
     assert not (tmp_path / FILE).exists()
     assert "Next experiment" not in page
+
+
+def test_what_is_written_is_read_again(data: Dataset, tmp_path: Path) -> None:
+    """Both follow from one declaration, so that no field is lost on the way to the page."""
+    unknown = UnknownVoltages(
+        changes_per_row=4, period_s=1e-3, errors={"x_m": 1e-5}, fitted_by="white residual"
+    )
+    result = dataclasses.replace(result_of(data, "effect_found", STRIBECK, PLAN), unknown_voltages=unknown)
+    write_result(result, tmp_path)
+    written = json.loads((tmp_path / "report.json").read_text())
+    assert written["unknown_voltages"] == unknown.as_json()
+    assert_contains(load_result(tmp_path).report, written)
+
+
+def assert_contains(read: Any, written: Any) -> None:
+    """Compare everything that was written with what was read, which may have defaults beside it."""
+    if isinstance(written, dict):
+        assert written.keys() <= read.keys()
+        for key, value in written.items():
+            assert_contains(read[key], value)
+    elif isinstance(written, list):
+        for one, other in zip(read, written, strict=True):
+            assert_contains(one, other)
+    else:
+        assert read == written
 
 
 @pytest.mark.parametrize(
@@ -759,7 +785,12 @@ def test_an_unexplained_error_is_stated_in_the_users_terms_with_a_hint(data: Dat
         before=worse,
         after=worse,
         dependence=(Dependence("current of motor", "x", 0.62),),
-        hint=Hint("x", "current of motor", 0.62, ("current_limit@motor", "load_friction@motor")),
+        hint=Hint(
+            component="x",
+            variable="current of motor",
+            share=0.62,
+            nearest=["current_limit@motor", "load_friction@motor"],
+        ),
         reason="10 % of the squared error remain with the effects",
         unfinished=Unfinished(
             "trial fit 2 of 5: cogging@motor", "the budget of 60 s of processor time ended"

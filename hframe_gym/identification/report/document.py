@@ -1,0 +1,275 @@
+"""What report.json contains: the one declaration by which it is written and read.
+
+Fields with a default are missing in results of older versions. Text is for the user; labels are name@component.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
+
+from ..judge.verdict import Verdict
+
+SCHEMA: Final = 1
+
+
+class Entry(BaseModel):
+    """Part of report.json; unknown fields, of later versions, are ignored."""
+
+    model_config = ConfigDict(extra="ignore", strict=True)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the fields that were given, in the order in which they are declared."""
+        return self.model_dump(by_alias=True, exclude_unset=True)
+
+
+class Runs(Entry):
+    """Names of the runs."""
+
+    fitted: list[str]
+    held_out: list[str] = Field(min_length=1)
+
+
+class UnfinishedSearch(Entry):
+    """What a search did when it ended before it was complete, and why it ended."""
+
+    stage: str
+    reason: str
+
+
+class UnknownVoltages(Entry):
+    """Voltages between the rows of a log that is slower than its controller, and what they do to a simulation.
+
+    Attributes:
+        commands: What changes between the rows, as `Machine.commands_in_words` says.
+        changes_per_row: How many times the controller changes them from one row to the next.
+        period_s: Time from one change to the next, s.
+        errors: Root mean square error of a simulation of the held-out runs that this alone causes, by channel, in the
+            channel's unit.
+        fitted_by: What gave the parameters of the delivered machine: instruments (`fit.slow_logs`), or the residual
+            that the statistics of the voltages make white.
+    """
+
+    commands: str = "voltages"
+    changes_per_row: int
+    period_s: FiniteFloat
+    errors: dict[str, FiniteFloat]
+    fitted_by: Literal["instruments", "white residual"]
+
+
+class ChannelErrors(Entry):
+    """Simulation error of one channel, in its unit, relative to the noise, and in percent of the motion."""
+
+    rmse: FiniteFloat | None
+    noise_ratio: FiniteFloat | None
+    percent_of_motion: FiniteFloat | None = None
+
+
+class Evaluation(Entry):
+    """Errors of a machine on the held-out runs: by channel, and `force_error` where the machine has one."""
+
+    held_out: dict[str, ChannelErrors | FiniteFloat]
+    missing_force_percent: FiniteFloat | None = None
+
+
+class Plain(Evaluation):
+    """Errors of the plain fit, what it has beside inertia and friction, and whether it is delivered."""
+
+    terms: list[str] = []
+    delivered: bool = False
+
+
+class ParameterValue(Entry):
+    """Value and standard deviation of an effect's parameter, in its unit."""
+
+    value: FiniteFloat
+    std: FiniteFloat | None
+    unit: str
+
+
+class Effect(Entry):
+    """A selected effect.
+
+    Attributes:
+        size: Force of the effect relative to that of the drives; None if no force describes it.
+        held_out_gain: Fraction of the squared error of the held-out runs that it removes.
+        rivals: Labels of effects that explain the runs equally well.
+    """
+
+    name: str
+    family: str = ""
+    site: str
+    parameters: dict[str, ParameterValue]
+    size: FiniteFloat | None = None
+    held_out_gain: FiniteFloat
+    rivals: list[str]
+
+
+class Dependence(Entry):
+    """A variable on which the residual force of a component depends, and the fraction that it explains."""
+
+    variable: str
+    coordinate: str
+    component: str = ""
+    share: FiniteFloat
+
+
+class Residual(Entry):
+    """What the residual depends on, strongest first, whether it is noise, and the sensors that deviate alone."""
+
+    depends_on: list[Dependence]
+    white: bool
+    sensors: list[str] = []
+
+
+class Hint(Entry):
+    """What the force that a machine lacks depends on, where no effect of the library is named.
+
+    Attributes:
+        component: Coordinate on which the force acts, or the channel of the sensor that deviates alone.
+        variable: Variable on which it depends most, for example "current of motor1".
+        share: Fraction of its variance that a curve over this variable explains, beyond noise.
+        nearest: Labels of effects that describe a part of it: neighbors in kind, no causes.
+    """
+
+    component: str
+    variable: str
+    share: FiniteFloat
+    nearest: list[str]
+
+
+class Considered(Entry):
+    """An effect that was tried and rejected, with the reason, a clause that follows "it "."""
+
+    name: str
+    site: str
+    parameters: dict[str, FiniteFloat] = {}
+    size: FiniteFloat | None
+    held_out_gain: FiniteFloat | None
+    reason: str
+
+
+class DeterminedSum(Entry):
+    """Weighted sum of parameters that the data determine, in the unit of its first parameter, whose weight is 1."""
+
+    weights: dict[str, FiniteFloat]
+    value: FiniteFloat
+    std: FiniteFloat
+
+
+class NotSeparable(Entry):
+    """Parameters that the data do not separate, and the sums that they determine."""
+
+    parameters: list[str]
+    determined: list[DeterminedSum]
+
+
+class UndeclaredFriction(Entry):
+    """Friction that the machine file does not declare; its share of the drives' force if it is dry friction."""
+
+    parameter: str
+    value: FiniteFloat
+    std: FiniteFloat | None
+    unit: str
+    percent_of_drives: FiniteFloat | None
+
+
+class Experiment(Entry):
+    """The proposed run: the effects that it separates, the file with its commands, and its purpose."""
+
+    separates: list[str] = []
+    file: str
+    why: str
+
+
+class Formula(Entry):
+    """A formula that may replace a table.
+
+    Attributes:
+        table: Label of the table.
+        terms: Names of the terms.
+        formula: The equation as text.
+        parameters: Values by name, SI.
+        complexity: Number of parameters.
+        curve_error: rms error at values of the table that were left out of the fit, in their standard deviations.
+        fitted: rms error of the machine with it on the fitted runs, in units of the sensors' noise.
+        held_out: The same on the held-out runs, by channel.
+        recommended: Whether it is the recommended one.
+    """
+
+    table: str = ""
+    terms: list[str]
+    formula: str
+    parameters: dict[str, FiniteFloat]
+    complexity: int
+    curve_error: FiniteFloat
+    fitted: FiniteFloat | None
+    held_out: dict[str, FiniteFloat]
+    recommended: bool
+
+
+class TableOfFormulas(Entry):
+    """A table, its errors as those of a formula, and the formulas proposed for it."""
+
+    table: str
+    complexity: int
+    fitted: FiniteFloat
+    held_out: dict[str, FiniteFloat]
+    formulas: list[Formula]
+
+
+class File(Entry):
+    """A file of recordings."""
+
+    name: str
+    bytes: int
+    sha256: str
+
+
+class Made(Entry):
+    """Where a result comes from: package and version, time in UTC by ISO 8601, and the recordings."""
+
+    software: str
+    time: str
+    by: str = ""
+    files: list[File] = []
+
+
+class Report(Entry):
+    """Content of report.json.
+
+    Attributes:
+        explained: Fraction of the squared error of the held-out runs beyond noise that the effects remove.
+        left: Simulation error / noise that remains on the held-out runs.
+        left_in_others: The same on those that do not contradict the fitted runs (`contradicting`).
+        seconds: Duration of the identification, s.
+        warnings: What limits the result, and findings about the recordings, one sentence each.
+    """
+
+    version: Literal[1] = Field(alias="schema")
+    verdict: Verdict
+    runs: Runs
+    reason: str = ""
+    unfinished: UnfinishedSearch | None = None
+    unknown_voltages: UnknownVoltages | None = None
+    contradicting: list[str] = []
+    declared: Evaluation
+    before: Evaluation
+    after: Evaluation
+    plain: Plain | None = None
+    effects: list[Effect]
+    residual: Residual
+    explained: FiniteFloat | None = None
+    left: FiniteFloat | None = None
+    left_in_others: FiniteFloat | None = None
+    hint: Hint | None = None
+    considered: list[Considered] = []
+    not_separable: list[NotSeparable] = []
+    undeclared_friction: list[UndeclaredFriction] = []
+    next_experiment: Experiment | None
+    seconds: FiniteFloat
+    criteria: dict[str, int | FiniteFloat] = {}
+    warnings: list[str] = []
+    proposed_formulas: list[TableOfFormulas] = []
+    made: Made | None = None
