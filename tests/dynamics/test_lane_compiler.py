@@ -7,6 +7,7 @@ import os
 import pickle
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -262,13 +263,28 @@ print(LANES, digest.hexdigest())
 """
 
 
+def printed_bits(**variables: str) -> list[str]:
+    """Return what `_BITS` prints in a process with these environment variables: lanes, and the hash of all bits."""
+    environment = os.environ | variables
+    run = subprocess.run(
+        [sys.executable, "-c", _BITS], capture_output=True, text=True, env=environment, check=True
+    )
+    return run.stdout.split()
+
+
+@pytest.fixture(scope="module")
+def bits_of_this_processor() -> str:
+    """Return the hash that this processor gives."""
+    return printed_bits()[1]
+
+
 @pytest.mark.parametrize(
     ("features", "lanes"),
     [("", "8"), ("+avx,+sse4.2", "8"), ("+avx2,+fma", "8"), ("+avx512f,+avx512dq,+avx2,+fma", "16")],
     ids=["baseline", "avx", "avx2", "avx512"],
 )
 def test_every_register_width_gives_the_same_bits(
-    features: str, lanes: str, tmp_path_factory: pytest.TempPathFactory
+    features: str, lanes: str, bits_of_this_processor: str, tmp_path: Path
 ) -> None:
     """Compile for processors with fewer features than this one, down to the oldest of its kind, which has no `fma`."""
     import llvmlite.binding as llvm
@@ -278,13 +294,7 @@ def test_every_register_width_gives_the_same_bits(
     if missing:
         pytest.skip(f"this processor has no {', '.join(missing)}")
 
-    def bits(**variables: str) -> list[str]:
-        environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path_factory.mktemp("numba"))} | variables
-        run = subprocess.run(
-            [sys.executable, "-c", _BITS], capture_output=True, text=True, env=environment, check=True
-        )
-        return run.stdout.split()
-
-    forced = bits(NUMBA_CPU_NAME="generic", NUMBA_CPU_FEATURES=features)
-    assert forced[0] == lanes
-    assert forced[1] == bits()[1]
+    forced = printed_bits(
+        NUMBA_CPU_NAME="generic", NUMBA_CPU_FEATURES=features, NUMBA_CACHE_DIR=str(tmp_path)
+    )
+    assert forced == [lanes, bits_of_this_processor]
