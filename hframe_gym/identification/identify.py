@@ -103,7 +103,9 @@ def identify(
     # Validate: effects must be certain; held-out runs judge verdict and names; nothing worse than a plain fit or the
     # file is delivered.
     test = HeldOutTest(session, found.held_out, criteria)
-    evaluated = judged(test.evaluate(with_certain_effects(found.outcome, log)), found.differing, log)
+    evaluated = judged(
+        test.evaluate(with_certain_effects(found.outcome, criteria, log)), found.differing, log
+    )
     delivered = no_worse(evaluated, found.plain, log, budget)
     outcome = delivered.evaluated.outcome
     remarks = (*found.remarks, *delivered.remarks)

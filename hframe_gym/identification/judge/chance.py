@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from scipy.special import fdtri
+from scipy.special import fdtri, ndtri
 
 from .criteria import SelectionCriteria
 
@@ -39,6 +39,15 @@ def chance_gain(variance: LongRunVariance, criteria: SelectionCriteria) -> float
     """
     quantile = fdtri(variance.parameters, variance.blocks, 1.0 - criteria.chance)
     return variance.ratio * variance.parameters * float(quantile)
+
+
+def chance_deviations(criteria: SelectionCriteria) -> float:
+    """Return how many standard deviations from 0 an estimate of 0 hardly ever lies.
+
+    Args:
+        criteria: Decision threshold `chance`.
+    """
+    return float(-ndtri(0.5 * criteria.chance))
 
 
 def exceeds_chance(gain: float, variance: LongRunVariance, criteria: SelectionCriteria) -> bool:

@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
-from .chance import LongRunVariance, exceeds_chance
+from .chance import LongRunVariance, chance_deviations, exceeds_chance
 from .criteria import SelectionCriteria
 from .error import FAR, FitError, Measured, is_enough, nearly_explains, required_gain
 
@@ -20,10 +20,6 @@ from .error import FAR, FitError, Measured, is_enough, nearly_explains, required
 AT_LIMIT = 0.01
 # Top speed under rated voltage with / without the effects. Even absent friction does not double it.
 LARGEST_SPEED_RATIO = 5.0
-
-# Standard deviations by which the size of an effect must differ from 0: the 95 % interval that machine.json states then
-# excludes its absence. The sizes of 790 right names of random rigs differed from 0 by 5 and more.
-MIN_STANDARD_DEVIATIONS = 1.96
 
 BY_CHANCE = "reduces the error by no more than chance may, since the remaining error is correlated in time"
 NO_GAIN = "does not reduce the error of the held-out runs"
@@ -312,16 +308,19 @@ def parameter_at_limit(parameters: Iterable[ParameterValue]) -> str:
     return ""
 
 
-def uncertain_size(sizes: Sequence[Size]) -> str:
+def uncertain_size(sizes: Sequence[Size], criteria: SelectionCriteria) -> str:
     """Return that an effect of the delivered machine may as well be absent, "" if it is certain or has no size.
 
     The tests of the search compare costs, and final fits follow them, with other observers and to other rows. A fit may
-    also have ended where the measurements hardly depend on the effect, so that a lower cost is not due to it.
+    also have ended where the measurements hardly depend on the effect, so that a lower cost is not due to it. The
+    effect is still the best of all candidates: a size that one of them reaches by chance is no evidence.
 
     Args:
         sizes: Its sizes in the delivered machine; one that is certain suffices.
+        criteria: Decision threshold `chance`.
     """
-    if not sizes or any(abs(size.value) >= MIN_STANDARD_DEVIATIONS * size.std for size in sizes):
+    deviations = chance_deviations(criteria)
+    if not sizes or any(abs(size.value) >= deviations * size.std for size in sizes):
         return ""
     values = " and ".join(f"{s.name} = {s.value:.2g} +- {s.std:.2g} {s.unit}" for s in sizes)
     return f"is not certain to exist: the final fit gives {values}"

@@ -40,13 +40,14 @@ from ..search.outcome import SearchOutcome, with_removed
 from .machine_errors import ModelEvaluation, PredictionErrors, evaluate_held_out
 
 
-def with_certain_effects(outcome: SearchOutcome, log: Log) -> SearchOutcome:
+def with_certain_effects(outcome: SearchOutcome, criteria: SelectionCriteria, log: Log) -> SearchOutcome:
     """Remove the effects that may as well be absent, given the covariance of the fitted parameters.
 
     The least certain effect is removed first; the others may be certain without it.
 
     Args:
         outcome: Outcome of a search, after the held-out runs have removed effects.
+        criteria: Decision threshold `chance`.
         log: Called with a line of text for each effect that is removed.
     """
     while outcome.selected:
@@ -55,7 +56,7 @@ def with_certain_effects(outcome: SearchOutcome, log: Log) -> SearchOutcome:
         doubts: list[tuple[float, SelectedEffect, str]] = []
         for s in outcome.selected:
             found = sizes(s.effect, machine)
-            if reason := uncertain_size(found):
+            if reason := uncertain_size(found, criteria):
                 doubts.append((max(abs(size.value) / size.std for size in found), s, reason))
         for _, uncertain, reason in sorted(doubts, key=lambda doubt: doubt[0]):
             label = uncertain.effect.label

@@ -131,7 +131,8 @@ def _compared(
     if outcome.selected and ratio > 1.0:  # their parameters were fitted to short predictions
         after = refined_equally(outcome.after, outcome.data)
         selected = tuple(s.with_values(after.machine) for s in outcome.selected)
-        again = test.evaluate(with_certain_effects(outcome._replace(after=after, selected=selected), log))
+        found = outcome._replace(after=after, selected=selected)
+        again = test.evaluate(with_certain_effects(found, test.criteria, log))
         if error_ratio(again.after, reference) < ratio and not _is_worse(again.after, reference, test):
             lacking, without = again.after.held_out.lacking, evaluated.before.held_out.lacking
             if lacking is None or without is None or not forces_contradict(lacking, without):

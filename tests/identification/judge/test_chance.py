@@ -7,7 +7,12 @@ import math
 import pytest
 
 from hframe_gym.identification import SelectionCriteria
-from hframe_gym.identification.judge.chance import LongRunVariance, chance_gain, exceeds_chance
+from hframe_gym.identification.judge.chance import (
+    LongRunVariance,
+    chance_deviations,
+    chance_gain,
+    exceeds_chance,
+)
 
 CRITERIA = SelectionCriteria()
 
@@ -29,3 +34,9 @@ def test_the_gain_that_chance_hardly_reaches(variance: LongRunVariance, gain: fl
     assert chance_gain(variance, CRITERIA) == pytest.approx(gain, rel=1e-3)
     assert exceeds_chance(1.01 * gain, variance, CRITERIA)
     assert math.isinf(gain) or not exceeds_chance(0.99 * gain, variance, CRITERIA)
+
+
+def test_the_deviation_that_chance_hardly_reaches() -> None:
+    assert chance_deviations(CRITERIA) ** 2 == pytest.approx(
+        chance_gain(LongRunVariance(1.0, 1, 10**7), CRITERIA), rel=1e-3
+    )

@@ -12,6 +12,7 @@ from hframe_gym.identification import (
     Dataset,
     Fit,
     SelectedEffect,
+    SelectionCriteria,
     default_free_parameters,
     fit,
     prepare,
@@ -78,7 +79,7 @@ def test_an_effect_whose_size_is_not_certain_in_the_end_is_removed(
     pushed = axis.with_effects(EFFECTS["constant_force"].at("x", size=hidden))
     data = prepare([recorded(pushed, 0)], axis)
     before, outcome = outcome_with_force(axis, data, 0.01, True)
-    certain = with_certain_effects(outcome, lambda line: None)
+    certain = with_certain_effects(outcome, SelectionCriteria(), lambda line: None)
     assert bool(certain.selected) == kept
     if kept:
         assert certain is outcome
