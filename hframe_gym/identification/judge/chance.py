@@ -42,7 +42,7 @@ def chance_gain(variance: LongRunVariance, criteria: SelectionCriteria) -> float
 
 
 def chance_deviations(criteria: SelectionCriteria) -> float:
-    """Return how many standard deviations from 0 an estimate of 0 hardly ever lies.
+    """Return how many standard deviations from 0 (dimensionless) an estimate of 0 hardly ever lies.
 
     Args:
         criteria: Decision threshold `chance`.
