@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
 from ..arrays import Array
+from ..robust_statistics import std_by_median
 
 _DIFFERENCES = 3  # order; a motion hardly has third differences from row to row, jitter has the largest
 _VARIANCE_OF_DIFFERENCES = 20.0  # of third differences of independent values over their own: 1 + 9 + 9 + 1
@@ -31,7 +32,6 @@ _MIN_ROWS = 100  # of changing voltages; they tell an answer within a few percen
 # Robust standard deviations beyond which a third difference is a jump of the program or a gap, and rounds until the
 # rows that are left no longer change.
 _JUMP, _ROUNDS = 4.0, 10
-_MEDIAN_TO_STD = 1.4826  # of the absolute values of a normal distribution
 # Rows of the cubic that stands for a regular clock: it follows a clock that drifts, and 2 % of the variance of jitter.
 _CLOCK_ROWS = 99
 _WANDERS = 2.0  # variance of the stamps around it / that of jitter, beyond which the steps are not regular
@@ -129,7 +129,7 @@ def _without_jumps(differences: Array, candidates: NDArray[np.bool_]) -> NDArray
     """Return which of some third differences are no jumps, shape (n,)."""
     kept = candidates
     for _ in range(_ROUNDS):
-        deviation = _MEDIAN_TO_STD * float(np.median(np.abs(differences[kept]))) if kept.any() else 0.0
+        deviation = float(std_by_median(differences[kept])) if kept.any() else 0.0
         before, kept = kept, candidates & (np.abs(differences) <= _JUMP * deviation)
         if np.array_equal(before, kept):
             break

@@ -1,4 +1,4 @@
-"""Outcome of a search, and the outcome without one of its effects."""
+"""Outcome of a search, and the same without some of its effects."""
 
 from __future__ import annotations
 
@@ -63,4 +63,20 @@ def with_removed(
         after=after,
         selected=tuple(s.with_values(after.machine) for s in selected),
         considered=(*outcome.considered, entry),
+    )
+
+
+def without_names(outcome: SearchOutcome, reason: str) -> SearchOutcome:
+    """Return an outcome whose effects are listed as considered instead of named.
+
+    Args:
+        outcome: Outcome of a search.
+        reason: Why they are not named.
+    """
+    entries = (
+        ConsideredEffect(s.effect, outcome.after.machine, outcome.before.machine, f"is not named: {reason}")
+        for s in outcome.selected
+    )
+    return outcome._replace(
+        verdict="unexplained", after=outcome.before, selected=(), considered=(*entries, *outcome.considered)
     )

@@ -17,7 +17,7 @@ from ...preparation.excerpt import representative_part
 from ...preparation.saturation import Range, range_effects
 from ...preparation.session import Session, with_all_measurements
 from ..evidence.significance import sizes
-from ..evidence.tried_effects import ConsideredEffect, Log, SelectedEffect
+from ..evidence.tried_effects import Log, SelectedEffect
 from ..fit.channel_errors import errors_by_channel
 from ..fit.covariance import with_uncertainty
 from ..fit.estimation import prediction_cost
@@ -36,7 +36,7 @@ from ..predict.start_uncertainty import prediction_residuals
 from ..predict.voltage_errors import simulation_error
 from ..propose.dependences import are_causes, rank_dependences
 from ..propose.trial_fits import without_effect
-from ..search.outcome import SearchOutcome, with_removed
+from ..search.outcome import SearchOutcome, with_removed, without_names
 from .machine_errors import ModelEvaluation, PredictionErrors, evaluate_held_out
 
 
@@ -288,22 +288,6 @@ def _with_fast_error(evidence: Evidence, evaluated: Evaluated, differing: Sequen
         evidence,
         remaining_fast=_remaining_prediction(evaluated, validation, SEARCH_BANDWIDTH, floor),
         reduction=removed / right if right > 0.0 else 0.0,
-    )
-
-
-def without_names(outcome: SearchOutcome, reason: str) -> SearchOutcome:
-    """Return an outcome whose effects are listed as considered instead of named.
-
-    Args:
-        outcome: Outcome of a search.
-        reason: Why they are not named.
-    """
-    entries = (
-        ConsideredEffect(s.effect, outcome.after.machine, outcome.before.machine, f"is not named: {reason}")
-        for s in outcome.selected
-    )
-    return outcome._replace(
-        verdict="unexplained", after=outcome.before, selected=(), considered=(*entries, *outcome.considered)
     )
 
 

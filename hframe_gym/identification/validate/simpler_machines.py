@@ -23,7 +23,8 @@ from ..judge.criteria import SelectionCriteria
 from ..judge.verdict import description_helps, forces_contradict, is_worse_than, needs_description
 from ..predict.prediction import SIMULATION
 from ..search.forward_selection import EffectSearch
-from .evaluation import Evaluated, HeldOutTest, with_certain_effects, without_names
+from ..search.outcome import without_names
+from .evaluation import Evaluated, HeldOutTest, with_certain_effects
 from .machine_errors import ModelEvaluation, error_ratio
 
 _MAX_EFFECTS = 2  # Each further one takes longer and removes less.
