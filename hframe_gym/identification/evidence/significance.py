@@ -55,7 +55,7 @@ def depend_on_same_variable(first: AppliedEffect, second: AppliedEffect, machine
     """Check whether two effects are functions of the same variable of the same component, such as its speed.
 
     If so, a small effect may be an error in the formula of a large one: an inaccurate formula of friction leaves a
-    force that depends on the speed as well.
+    force that depends on the speed as well. A clock whose rate changes acts on all components, and changes with time.
 
     Args:
         first: One effect at its component.
@@ -63,12 +63,24 @@ def depend_on_same_variable(first: AppliedEffect, second: AppliedEffect, machine
         machine: Machine on which both act.
 
     Returns:
-        True for example for Stribeck friction and quadratic drag of one coordinate, two functions of its speed. False
-        if only one of them is periodic in the variable, or if one adds coordinates.
+        True for example for Stribeck friction and quadratic drag of one coordinate, two functions of its speed, and for
+        a drifting clock and a winding that warms up. False if only one of them is periodic in the variable, or if one
+        adds coordinates.
     """
+    if first.definition.clock or second.definition.clock:
+        return _changes_with_time(first) and _changes_with_time(second)
     sites = [machine.coordinate_of_site(e.site, e.definition.site) or e.site for e in (first, second)]
     structural = first.definition.structure or second.definition.structure
     return not structural and sites[0] == sites[1] and bool(_variables(first) & _variables(second))
+
+
+def _changes_with_time(effect: AppliedEffect) -> bool:
+    """Return whether an effect is a function of time or drifts: its state has a time constant beyond fast motion."""
+    definition = effect.definition
+    if definition.clock or definition.against == "time" or ("time", False) in _variables(effect):
+        return True
+    constants = [effect.parameters[p.name] for p in definition.parameters if p.unit == "s"]
+    return definition.next_state is not None and max(constants, default=0.0) > BLOCK_S
 
 
 def curves_of_one_variable(effects: Sequence[AppliedEffect], machine: Machine) -> list[AppliedEffect]:
@@ -221,7 +233,7 @@ def effect_evidence(without: Fit, with_effect: Fit, effect: AppliedEffect, data:
     return EffectEvidence(
         without=without.error,
         with_effect=with_effect.error,
-        structural=effect.definition.structure is not None,
+        forceless=_is_forceless(effect),
         confirmed=lambda: leave_one_out_gain(without, with_effect, data),
         fault=lambda: plausibility_fault(with_effect.machine),
         chance=lambda: _chance(without, with_effect, effect, data),
@@ -313,24 +325,35 @@ def _chance(without: Fit, with_effect: Fit, effect: AppliedEffect, data: Dataset
     return Chance(without.cost - with_effect.cost, long_run_variance(with_effect, effect.label, data))
 
 
+def _is_forceless(effect: AppliedEffect) -> bool:
+    """Return whether an effect has no force at the machine's coordinates: it adds some, or changes the clock."""
+    return bool(effect.definition.structure or effect.definition.clock)
+
+
 def _forces(without: Fit, with_effect: Fit, effect: AppliedEffect, data: Dataset) -> Forces:
     """Return the force of an effect and the force that remains unexplained beside it, N."""
     size, residue = effect_force(with_effect.machine, effect, data), residue_force(with_effect, data)
-    # no force at the machine's coordinates: what it takes from the unexplained one
-    if effect.definition.structure:
+    if _is_forceless(effect):  # what it takes from the unexplained one
         size = math.sqrt(max(residue_force(without, data) ** 2 - residue**2, 0.0))
     return Forces(size, residue)
 
 
 def _additions(without: Fit, with_effect: Fit, effect: AppliedEffect, data: Dataset) -> Iterator[Addition]:
-    """Return what an effect adds to each effect of another family that depends on the same variable."""
+    """Return what an effect adds to each effect of another family that depends on the same variable.
+
+    A clock corrects other effects, but none corrects the clock, which has no force that could be in error.
+    """
     machine = with_effect.machine
     for other in machine.effects:
-        if other.definition.family != effect.definition.family and depend_on_same_variable(
-            effect, other, machine
+        if (
+            other.definition.family != effect.definition.family
+            and not other.definition.clock
+            and depend_on_same_variable(effect, other, machine)
         ):
             # The force beyond what the parameters of the machine and of the other effect can represent.
-            fraction = force_difference(without.machine, machine, data) / max(
-                effect_force(machine, other, data), 1e-12
+            added = (
+                _forces(without, with_effect, effect, data).effect
+                if effect.definition.clock
+                else force_difference(without.machine, machine, data)
             )
-            yield Addition(other.label, fraction)
+            yield Addition(other.label, added / max(effect_force(machine, other, data), 1e-12))

@@ -43,7 +43,8 @@ class Forces:
     """Root mean square forces, N.
 
     Attributes:
-        effect: Force of the effect; of one that adds coordinates, what it takes from the unexplained force.
+        effect: Force of the effect; of one that has none at the machine's coordinates, what it takes from the
+            unexplained force.
         residue: Force that remains unexplained beside it.
     """
 
@@ -125,7 +126,7 @@ class EffectEvidence:
     Attributes:
         without: Error without the effect.
         with_effect: Error with it.
-        structural: Whether it adds coordinates; it then has no force at those of the machine.
+        forceless: Whether it adds coordinates or changes the clock; it then has no force at those of the machine.
         confirmed: Reduction of the cost in runs to which the effect was not fitted.
         fault: Why the machine with the effect is not physical, as `fault_of_machine` says.
         chance: Reduction and long-run variance at the observer of both fits.
@@ -140,7 +141,7 @@ class EffectEvidence:
 
     without: FitError
     with_effect: FitError
-    structural: bool
+    forceless: bool
     confirmed: Measured
     fault: Callable[[], str]
     chance: Callable[[], Chance]
@@ -260,7 +261,7 @@ def _by_chance(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
 def _too_small(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
     """Return that an effect is smaller than what remains unexplained, or negligible beside the drives, else ""."""
     forces, drives = evidence.forces(), evidence.drives()
-    if forces.effect < criteria.min_drive_force_ratio * drives and not evidence.structural:
+    if forces.effect < criteria.min_drive_force_ratio * drives and not evidence.forceless:
         return f"has a force of {forces.effect:.2g} N, {forces.effect / drives:.1g} of that of the drives"
     if (
         criteria.min_promised_force_ratio * forces.residue
@@ -270,7 +271,7 @@ def _too_small(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
         forces = evidence.forces_accurate()  # in doubt
     if forces.effect >= criteria.min_force_ratio * forces.residue:
         return ""
-    verb = "explains" if evidence.structural else "has"
+    verb = "explains" if evidence.forceless else "has"
     return f"{verb} a force of {forces.effect:.2g} N, where {forces.residue:.2g} N remain unexplained"
 
 

@@ -15,6 +15,8 @@ from hframe_gym.identification import Dataset, prepare
 from hframe_gym.identification.evidence.significance import (
     curves_of_one_variable,
     depend_on_same_variable,
+    doubt_about_candidate,
+    doubt_beside_others,
     sizes,
     variance_along,
 )
@@ -27,6 +29,7 @@ from hframe_gym.machine import AppliedEffect, Uncertainty
 from hframe_gym.recordings import Recording
 from tests.identification.scripted_fits import (
     AXIS,
+    CRITERIA,
     DATA,
     DRAG,
     FRAME,
@@ -34,9 +37,12 @@ from tests.identification.scripted_fits import (
     PUSH,
     SPRING,
     STRIBECK,
+    Scripted,
     fit_with,
 )
 from tests.identification.single_axis import axis_runs
+
+CLOCK = EFFECTS["clock_drift"].at("machine", a=-5e-4)
 
 
 @pytest.fixture
@@ -68,6 +74,15 @@ def test_the_size_of_a_force_is_its_root_mean_square() -> None:
             EFFECTS["cable_spring"].at("phi1", k=6.0, q0=0.0),
             True,
         ),
+        (
+            CLOCK,
+            EFFECTS["winding_heat"].at("motor1", a=0.03, tau=10.0),
+            True,
+        ),  # memories that drift, of all parts
+        (CLOCK, EFFECTS["winding_heat"].at("motor1", a=0.03, tau=0.1), False),
+        (CLOCK, EFFECTS["friction_warm_up"].at("x", a=0.3, tau=30.0), True),
+        (CLOCK, EFFECTS["electrical_lag"].at("motor1", tau=1e-3), False),
+        (CLOCK, STRIBECK, False),
     ],
 )
 def test_which_effects_depend_on_the_same_variable(
@@ -76,6 +91,33 @@ def test_which_effects_depend_on_the_same_variable(
     """Periodic ones only on that of other periodic ones."""
     assert depend_on_same_variable(first, second, HFRAME) == same
     assert depend_on_same_variable(second, first, HFRAME) == same
+
+
+@pytest.mark.parametrize(
+    ("residue", "heat_force", "reason"),
+    [
+        (0.3, 20.0, "adds 2 % to the force of winding_heat@motor, which depends on the same variable"),
+        (0.3, 1.0, ""),
+        (0.4, 1.0, "explains a force of 0.3 N, where 0.4 N remain unexplained"),
+    ],
+)
+def test_a_clock_has_the_size_of_the_force_that_it_explains(
+    scripted: Scripted, residue: float, heat_force: float, reason: str
+) -> None:
+    """A winding that warms up otherwise than by the formula leaves what a drifting clock partly explains."""
+    heat = EFFECTS["winding_heat"].at("motor", a=0.03, tau=10.0)
+    scripted.residue, scripted.force = {1.3: 0.5, 1.1: residue}, {heat.label: heat_force}
+    both = fit_with(heat, CLOCK, chi2=1.1)
+    doubt = doubt_about_candidate(fit_with(heat, chi2=1.3), both, DATA, CRITERIA)
+    assert doubt.startswith(reason) if reason else doubt == ""
+
+
+def test_no_effect_corrects_a_clock(scripted: Scripted) -> None:
+    """It has no force, of which another effect could be a small part."""
+    heat = EFFECTS["winding_heat"].at("motor", a=0.03, tau=10.0)
+    scripted.force = {CLOCK.label: np.inf}
+    both = fit_with(heat, CLOCK, chi2=1.1)
+    assert doubt_beside_others(fit_with(CLOCK, chi2=1.3), both, heat, DATA, CRITERIA) == ""
 
 
 def test_curves_of_one_variable_are_functions_of_it_alone_at_one_coordinate() -> None:

@@ -38,7 +38,7 @@ def evidence(without: float = 1.4, with_effect: float = 1.2, **known: Any) -> Ef
     found = EffectEvidence(
         without=error(without),
         with_effect=error(with_effect),
-        structural=False,
+        forceless=False,
         confirmed=lambda: gain,
         fault=lambda: "",
         chance=lambda: Chance(gain, LongRunVariance(1.0)),
@@ -48,7 +48,7 @@ def evidence(without: float = 1.4, with_effect: float = 1.2, **known: Any) -> Ef
         drives=lambda: 10.0,
         additions=lambda: (),
     )
-    eager = ("structural", "parameters")
+    eager = ("forceless", "parameters")
     lazy = {n: v if n in eager or callable(v) else (lambda known=v: known) for n, v in known.items()}
     return dataclasses.replace(found, **lazy)
 
@@ -105,11 +105,11 @@ FORM = "adds 19 % to the force of drag@x, which depends on the same variable: th
         ({"forces": Forces(2.1e-4, 0.0)}, ""),
         ({"forces": Forces(1.9e-4, 0.0)}, "has a force of 0.00019 N, 2e-05 of that of the drives"),
         (
-            {"forces": Forces(1.9e-4, 0.0), "structural": True},
+            {"forces": Forces(1.9e-4, 0.0), "forceless": True},
             "",
         ),  # it has no force at the machine's coordinates
         (
-            {"forces": Forces(0.1, 0.3), "structural": True},
+            {"forces": Forces(0.1, 0.3), "forceless": True},
             "explains a force of 0.1 N, where 0.3 N remain unexplained",
         ),
         ({"additions": [Addition("drag@x", 0.21)]}, ""),
