@@ -6,6 +6,10 @@ are therefore unknowns beside the parameters of the machine. They minimize the s
 deviations from interpolation, each divided by its variance (maximum a posteriori). Gauss-Newton steps find this
 minimum. A step that does not reduce the sum is shortened: friction may hold the machine at one voltage and not at the
 next, so that the response is not linear.
+
+A command that rests between its changes may have kept its last value over the gaps, as where the controller itself was
+late. If the motion is then predicted better, held values take the place of interpolated ones, also in gaps that are too
+long for an estimate.
 """
 
 from __future__ import annotations
@@ -25,15 +29,17 @@ from scipy.sparse.linalg import spsolve
 from ...arrays import Array
 from ...machine import Machine
 from ...preparation.dataset import Dataset, PreparedRecording
+from ..judge.run import commands_are_held_over_gaps, may_change_between_rows
 from ..predict.free_parameters import default_free_parameters
 from ..predict.prediction import SEARCH_BANDWIDTH, map_runs
 from ..predict.voltage_responses import voltage_responses
-from .estimation import fit
+from .estimation import fit, prediction_costs
 from .model_error import continue_fit
+from .voltage_updates import successive_changes
 
 Rows = NDArray[np.intp]
 _VOLTAGE_ITERATIONS = 5  # of voltages in dropped rows and parameters in turn
-_LONGEST_GAP = 20  # rows; voltages in longer gaps stay interpolated
+_LONGEST_GAP = 20  # rows; voltages in longer gaps stay interpolated or held
 _BANDWIDTHS = (SEARCH_BANDWIDTH, SEARCH_BANDWIDTH / 4.0)  # rad/s
 _SMALLEST_ERROR = 1e-6  # V, of interpolation
 _MIN_PREDICTIONS = 10  # recorded rows that show how accurate interpolation is
@@ -52,13 +58,13 @@ def with_lost_voltages(
     Args:
         machine: Machine as declared.
         held_out: Runs that are not fitted.
-        log: Called with a line of text if voltages are estimated.
+        log: Called with a line of text if voltages are estimated, and if they are held over gaps.
 
     Returns:
         The fitted and the held-out runs, with estimated voltages.
     """
     unknown = _count_unknown_rows(data) + _count_unknown_rows(held_out)
-    if not unknown:
+    if not unknown and not _may_be_held(data):
         return data, held_out
     fitted = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
     for _ in range(_VOLTAGE_ITERATIONS):
@@ -66,7 +72,10 @@ def with_lost_voltages(
         if refined is data:
             break
         data, fitted = refined, continue_fit(fitted, refined, SEARCH_BANDWIDTH)
-    log(f"voltages of {unknown} dropped rows are estimated from the measurements")
+    if unknown:
+        log(f"voltages of {unknown} dropped rows are estimated from the measurements")
+    if _is_held(data, fitted.machine):
+        log("the commands keep their last value over the gaps of the log: that predicts the motion better")
     return data, estimate_lost_voltages(held_out, fitted.machine)
 
 
@@ -74,11 +83,12 @@ def estimate_lost_voltages(data: Dataset, machine: Machine) -> Dataset:
     """Copy a data set, with the voltages in dropped rows estimated from the measurements by a fitted machine.
 
     The expected voltages are interpolated linearly or by a cubic spline. Both are tried on recorded rows, each of which
-    is predicted from neighbors as far away as the ends of the gap; the better one is used. The errors of these
-    predictions give the expected deviation of the voltages. What the machine does not explain counts as noise.
+    is predicted from neighbors as far away as the ends of the gap; the better one is used. If the motion says that the
+    commands were held over the gaps, the last values are expected. The errors of these predictions give the expected
+    deviation of the voltages. What the machine does not explain counts as noise.
 
     Args:
-        data: Data set in whose gaps of up to 20 rows voltages are estimated.
+        data: Data set in whose gaps of up to 20 rows voltages are estimated, and held or interpolated in longer ones.
         machine: Fitted machine with its effects.
 
     Returns:
@@ -87,7 +97,8 @@ def estimate_lost_voltages(data: Dataset, machine: Machine) -> Dataset:
     """
     if not any(run.dropped.any() for run in data.runs):
         return data
-    results = list(map_runs(lambda run: _with_estimated_voltages(machine, run, data), data))
+    held = _is_held(data, machine)
+    results = list(map_runs(lambda run: _with_estimated_voltages(machine, run, data, held), data))
     if max(change for _, change in results) <= _UNCHANGED:
         return data
     return dataclasses.replace(data, runs=tuple(run for run, _ in results))
@@ -107,25 +118,58 @@ class _Unknowns(NamedTuple):
     deviations: Array
 
 
+def _may_be_held(data: Dataset) -> bool:
+    """Return whether the commands may have kept their values in gaps: they rest between their changes."""
+    dropped = any(run.dropped.any() for run in data.runs)
+    return dropped and data.updates == 1 and not may_change_between_rows(successive_changes(data))
+
+
+def _is_held(data: Dataset, machine: Machine) -> bool:
+    """Return whether the motion says that the commands kept their last values in the gaps."""
+    if not _may_be_held(data):
+        return False
+    costs = []
+    for held in (True, False):
+        bridged = dataclasses.replace(data, runs=tuple(_bridged(run, held) for run in data.runs))
+        costs.append(prediction_costs(machine, bridged, SEARCH_BANDWIDTH))
+    return commands_are_held_over_gaps(*costs)
+
+
+def _bridged(run: PreparedRecording, held: bool) -> PreparedRecording:
+    """Return a run whose dropped rows have the last recorded voltages, or linearly interpolated ones."""
+    known = np.flatnonzero(~run.dropped)
+    if held:
+        inputs = run.inputs[known[np.searchsorted(known, np.arange(len(run.dropped)), side="right") - 1]]
+    else:
+        inputs = np.column_stack([np.interp(run.time_s, run.time_s[known], v[known]) for v in run.inputs.T])
+    return dataclasses.replace(run, inputs=inputs)
+
+
 def _count_unknown_rows(data: Dataset) -> int:
     """Return the number of dropped rows, in gaps of up to 20, in all runs with measurements: these determine them."""
     return sum(len(_short_gaps(run.dropped)[0]) for run in data.runs if np.isfinite(run.outputs).any())
 
 
 def _with_estimated_voltages(
-    machine: Machine, run: PreparedRecording, data: Dataset
+    machine: Machine, run: PreparedRecording, data: Dataset, held: bool
 ) -> tuple[PreparedRecording, float]:
     """Return a run with estimated voltages, and their largest change relative to the error of interpolation.
+
+    In gaps that are too long for an estimate, voltages are held or interpolated; their error is not known.
 
     A narrower observer lets the response to a voltage last longer, which determines it better if the machine has no
     large error. Of two bandwidths, the one that gives more information is used.
     """
-    rows, lengths = _short_gaps(run.dropped)
-    if not len(rows) or not np.isfinite(run.outputs).any():
+    if not run.dropped.any() or not np.isfinite(run.outputs).any():
         return run, 0.0
-    expected, deviations = _interpolated(run, rows, lengths)
+    rows, lengths = _short_gaps(run.dropped)
+    inputs = _bridged(run, held).inputs
+    inputs[rows] = run.inputs[rows]
+    changed = not np.allclose(inputs, run.inputs, rtol=0.0, atol=_SMALLEST_ERROR)  # in long gaps
+    if not len(rows):
+        return dataclasses.replace(run, inputs=inputs), math.inf if changed else 0.0
+    expected, deviations = _interpolated(run, rows, lengths, held)
     certain = np.all(deviations <= _SMALLEST_ERROR, axis=1)
-    inputs = run.inputs.copy()
     inputs[rows[certain]] = expected[certain]
     estimated, most = dataclasses.replace(run, inputs=inputs), -np.inf
     unknowns = _Unknowns(rows[~certain], expected[~certain], deviations[~certain])
@@ -133,7 +177,8 @@ def _with_estimated_voltages(
         candidate, information = _most_probable(machine, estimated, data, unknowns, bandwidth)
         if information > most:
             estimated, most = candidate, information
-    return estimated, float(np.max(np.abs(estimated.inputs - run.inputs)[rows] / deviations))
+    change = float(np.max(np.abs(estimated.inputs - run.inputs)[rows] / deviations))
+    return estimated, math.inf if changed else change
 
 
 def _most_probable(
@@ -213,19 +258,23 @@ def _short_gaps(dropped: NDArray[np.bool_]) -> tuple[Rows, Rows]:
     return np.concatenate([empty, *rows]), np.concatenate([empty, *lengths])
 
 
-def _interpolated(run: PreparedRecording, rows: Rows, lengths: Rows) -> tuple[Array, Array]:
-    """Return interpolated voltages in dropped rows, and the standard deviations of their errors, V, (rows, drives)."""
+def _interpolated(run: PreparedRecording, rows: Rows, lengths: Rows, held: bool) -> tuple[Array, Array]:
+    """Return expected voltages in dropped rows, and the standard deviations of their errors, V, (rows, drives)."""
     voltages, deviations = np.zeros((2, len(rows), run.inputs.shape[1]))
     for length in np.unique(lengths):
         k = lengths == length
         for j, values in enumerate(run.inputs.T):
             recorded = np.where(run.dropped, np.nan, values)
-            voltages[k, j], deviations[k, j] = _interpolated_drive(run.time_s, recorded, rows[k], int(length))
+            voltages[k, j], deviations[k, j] = _interpolated_drive(
+                run.time_s, recorded, rows[k], int(length), held
+            )
     return voltages, np.maximum(deviations, _SMALLEST_ERROR)
 
 
-def _interpolated_drive(time_s: Array, recorded: Array, rows: Rows, length: int) -> tuple[Array, Array]:
-    """Return interpolated voltages in gaps of one length, and the standard deviations of their errors, V.
+def _interpolated_drive(
+    time_s: Array, recorded: Array, rows: Rows, length: int, held: bool
+) -> tuple[Array, Array]:
+    """Return expected voltages in gaps of one length, and the standard deviations of their errors, V.
 
     Recorded rows are predicted like the middle of a gap. The square of the error is a constant plus a multiple of the
     squared change of the voltage across the gap: where a stepping voltage is equal on both sides, it hardly errs.
@@ -235,6 +284,7 @@ def _interpolated_drive(time_s: Array, recorded: Array, rows: Rows, length: int)
         recorded: Voltage of a drive, V, NaN in dropped rows, shape (n,).
         rows: Dropped rows, shape (r,).
         length: Length of the gaps that they belong to, in rows.
+        held: Whether the last recorded values are expected, not interpolated ones.
 
     Returns:
         Voltages and standard deviations, V, shape (r,) each. If fewer than ten rows can be predicted where the voltage
@@ -247,17 +297,21 @@ def _interpolated_drive(time_s: Array, recorded: Array, rows: Rows, length: int)
     ].T
     mean = 0.5 * (before + after)
     polynomial = (8.0 * mean - far_before - far_after) / 6.0  # of third degree
-    errors = np.array([mean - actual, polynomial - actual]) ** 2
+    errors = np.array([mean - actual, polynomial - actual, before - actual]) ** 2
     usable = np.isfinite(errors[1])
     known = np.flatnonzero(np.isfinite(recorded))
     linear = np.interp(time_s[rows], time_s[known], recorded[known])
     following = np.searchsorted(known, rows)
-    change = recorded[known[following]] - recorded[known[following - 1]]
+    last = recorded[known[following - 1]]
+    change = recorded[known[following]] - last
     steady = (far_before == before) & (before == actual) & (actual == after) & (after == far_after)
     if np.count_nonzero(usable & ~steady) < _MIN_PREDICTIONS:
-        return linear, np.abs(change)
-    best = int(np.argmin(errors[:, usable].sum(axis=1)))
-    voltages = CubicSpline(time_s[known], recorded[known])(time_s[rows]) if best else linear
+        return last if held else linear, np.abs(change)
+    if held:
+        best, voltages = 2, last
+    else:
+        best = int(np.argmin(errors[:2, usable].sum(axis=1)))
+        voltages = CubicSpline(time_s[known], recorded[known])(time_s[rows]) if best else linear
     regressors = np.column_stack([np.ones(usable.sum()), (after - before)[usable] ** 2])
     constant, factor = optimize.nnls(regressors, errors[best, usable])[0]
     return voltages, np.sqrt(constant + factor * change**2)

@@ -150,7 +150,7 @@ def voltage_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> 
     """
     data = data.with_updates(1)
     held = continue_fit(fitted, data, SEARCH_BANDWIDTH)
-    if not may_change_between_rows(_successive_changes(data)):
+    if not may_change_between_rows(successive_changes(data)):
         return VoltageUpdates(1, held.chi2, held.chi2)
     per_row, best = _least_error(held, data, required_gain(held.error, criteria) / _MOST_FURTHER_GAIN)
     if per_row > 1:
@@ -168,12 +168,16 @@ def voltage_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> 
     return VoltageUpdates(1, held.chi2, held.chi2)
 
 
-def _successive_changes(data: Dataset) -> float:
-    """Return the fraction of the changes of the inputs from row to row that follow a change in the row before."""
+def successive_changes(data: Dataset) -> float:
+    """Return the fraction of the changes of the inputs from row to row that follow a change in the row before.
+
+    Rows that the logger dropped, whose inputs are not known, show neither changes nor rests.
+    """
     changes, successive = 0, 0
     for run in data.runs:
-        changed = (np.diff(run.inputs, axis=0) != 0.0).any(axis=1)
-        changes += int(changed.sum())
+        known = ~run.dropped[1:] & ~run.dropped[:-1]
+        changed = (np.diff(run.inputs, axis=0) != 0.0).any(axis=1) & known
+        changes += int(changed.sum()) - int((changed[1:] & ~known[:-1]).sum())
         successive += int((changed[1:] & changed[:-1]).sum())
     return successive / max(changes, 1)
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...arrays import Array
 from .criteria import SelectionCriteria
 from .error import AS_GOOD, CLEAR, FAR, FitError, Measured, is_enough, required_gain
 
@@ -61,6 +62,20 @@ def may_change_between_rows(successive: float) -> bool:
         successive: Fraction of the changes of the commands that follow a change in the row before, dimensionless.
     """
     return successive > ROW_AFTER_ROW
+
+
+def commands_are_held_over_gaps(held: Array, interpolated: Array) -> bool:
+    """Return whether commands that rest between their changes keep their last value in the gaps of a log.
+
+    They do if a controller that was late neither computed nor logged anything. If only the logger was late, they
+    changed somewhere in the gap, and are on average what a straight line over the gap is: recorded rows cannot tell,
+    the motion after the gaps does.
+
+    Args:
+        held: Cost of each run with commands that are held over its gaps, shape (runs,).
+        interpolated: The same with commands that are interpolated linearly, shape (runs,).
+    """
+    return bool(held.sum() < interpolated.sum())
 
 
 def voltages_change_between_rows(evidence: UpdatesEvidence, criteria: SelectionCriteria) -> bool:

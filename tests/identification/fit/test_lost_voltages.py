@@ -80,6 +80,40 @@ def test_voltages_in_long_gaps_stay_interpolated() -> None:
     assert estimate_lost_voltages(data, AXIS) is not data
 
 
+def late_controller(commands: Array, gaps: Sequence[tuple[int, int]], seed: int) -> Recording:
+    """Return the log of a controller that neither computed nor logged in some gaps: its commands were held."""
+    lost = np.concatenate([np.arange(first, end) for first, end in gaps])
+    kept = np.setdiff1d(np.arange(ROWS), lost)
+    held = commands[kept[np.searchsorted(kept, np.arange(ROWS), side="right") - 1]]
+    return without_rows(recorded(AXIS, held, seed), lost)
+
+
+LONG_GAPS = [(195, 260), (395, 460), (795, 830)]
+SHORT_GAPS = [(first, first + 15) for first in range(195, 1400, 100)]
+
+
+@pytest.mark.parametrize("gaps", [LONG_GAPS, SHORT_GAPS])
+def test_commands_of_a_late_controller_are_held_over_its_gaps(gaps: Sequence[tuple[int, int]]) -> None:
+    """Interpolation begins steps that fall into gaps too early: it leaves 3440 and 2.5 times the noise."""
+    steps = np.repeat(np.random.default_rng(5).uniform(-3.0, 3.0, (ROWS // 100, 1)), 100, axis=0)
+    steps[:100] = 0.0
+    run = late_controller(steps, gaps, 5)
+    assert np.sqrt(np.mean(simulate_recording(AXIS, run).error ** 2)) < 1.5 * NOISE
+    data = prepare([run], AXIS)
+    lines: list[str] = []
+    fitted, _ = with_lost_voltages(AXIS, data, data, lines.append)
+    assert lines[-1].startswith("the commands keep their last value over the gaps")
+    assert np.max(np.abs(fitted.runs[0].inputs - data.runs[0].inputs)) > 1.0
+
+
+def test_smooth_commands_are_not_held() -> None:
+    """A command that changes in row after row went on changing in the gaps, whatever a wrong machine seems to say."""
+    time_s = np.arange(ROWS) * 1e-3
+    smooth = np.where(time_s > 0.1, 3.0 * np.sin(20.0 * (time_s - 0.1)), 0.0)[:, None]
+    data = prepare([late_controller(smooth, LONG_GAPS, 6)], AXIS)
+    assert estimate_lost_voltages(data, AXIS) is data
+
+
 def test_a_wrong_machine_leaves_smooth_voltages_at_their_spline() -> None:
     """What the machine does not explain counts as noise; recorded rows show that a spline is accurate to 1 mV."""
     time_s = np.arange(ROWS) * 1e-3

@@ -11,7 +11,7 @@ import pytest
 from hframe_gym import simulate
 from hframe_gym.data_validation.sampling import check_voltages_between_rows
 from hframe_gym.identification import Dataset, Fit, SelectionCriteria, default_free_parameters, fit, prepare
-from hframe_gym.identification.fit.voltage_updates import VoltageUpdates, voltage_updates
+from hframe_gym.identification.fit.voltage_updates import VoltageUpdates, successive_changes, voltage_updates
 from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH, SIMULATION, predict
 from hframe_gym.identification.validate.recording_simulation import simulate_recording
 from hframe_gym.machine import BUILTIN_MACHINES
@@ -48,6 +48,16 @@ def refitted(data: Dataset) -> Fit:
 def found(data: Dataset) -> VoltageUpdates:
     """Return how often the voltages change between the rows of a log."""
     return voltage_updates(refitted(data), data, SelectionCriteria())
+
+
+@pytest.mark.parametrize(("every_row", "expected"), [(False, 0.0), (True, 1.0)])
+def test_dropped_rows_show_neither_changes_nor_rests(every_row: bool, expected: float) -> None:
+    """Straight lines over gaps change in row after row, whatever the command does."""
+    volts = np.random.default_rng(1).uniform(-1.0, 1.0, (300, 1))
+    volts = volts if every_row else np.repeat(volts[::20], 20, axis=0)
+    keep = np.arange(300) % 40 < 25  # steps at the rows 20, 60, ... are recorded
+    run = Recording("run", np.arange(300)[keep] * PERIOD, volts[keep], np.zeros((keep.sum(), 1)))
+    assert successive_changes(prepare([run], AXIS)) == pytest.approx(expected, abs=0.01)
 
 
 def test_held_voltages_stay_held() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 
 from hframe_gym.identification import SelectionCriteria
@@ -112,6 +113,22 @@ def test_only_commands_that_change_row_after_row_may_change_between_the_rows(
     successive: float, possible: bool
 ) -> None:
     assert judge.may_change_between_rows(successive) == possible
+
+
+@pytest.mark.parametrize(
+    ("held", "interpolated", "are_held"),
+    [
+        ([1.0, 5.0], [3.0, 4.0], True),  # one controller: the runs together decide
+        ([1.0, 5.0], [3.0, 2.0], False),
+        ([1.0, 5.0], [1.0, 5.0], False),  # no command changed across a gap
+        ([1.0, math.inf], [3.0, 4.0], False),
+        ([1.0, 5.0], [3.0, math.nan], False),
+    ],
+)
+def test_commands_are_held_over_gaps_if_that_predicts_the_motion_better(
+    held: list[float], interpolated: list[float], are_held: bool
+) -> None:
+    assert judge.commands_are_held_over_gaps(np.array(held), np.array(interpolated)) == are_held
 
 
 @pytest.mark.parametrize(
