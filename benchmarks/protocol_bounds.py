@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 
 import hframe_gym.evaluation
-from hframe_gym.controllers.planning.time_optimal import HeldVoltageReach, TimeOptimalReach
+from benchmarks.held_voltages import HeldVoltageReach
+from hframe_gym.controllers.planning.time_optimal import TimeOptimalReach
 from hframe_gym.errors import InputError
 from hframe_gym.evaluation import (
     BANDS,

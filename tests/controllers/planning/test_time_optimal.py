@@ -20,7 +20,7 @@ pytestmark = pytest.mark.integration
 casadi = pytest.importorskip("casadi")
 
 from hframe_gym.controllers.models.casadi_model import SymbolicModel  # noqa: E402
-from hframe_gym.controllers.planning.time_optimal import HOLD_S, HeldVoltageReach, TimeOptimalReach  # noqa: E402
+from hframe_gym.controllers.planning.time_optimal import HOLD_S, TimeOptimalReach  # noqa: E402
 
 BAND = 2e-4
 HFRAME, AXIS = BUILTIN_MACHINES["hframe"](), BUILTIN_MACHINES["axis"]()
@@ -229,28 +229,6 @@ def test_a_missing_casadi_is_reported_with_its_extra(monkeypatch: pytest.MonkeyP
     monkeypatch.delitem(sys.modules, "hframe_gym.controllers.planning.time_optimal")
     with pytest.raises(ImportError, match=r"hframe_gym\[bound\]"):
         importlib.import_module("hframe_gym.controllers.planning.time_optimal")
-
-
-def test_held_voltages_cost_little_and_change_once_per_period(hframe_problem: TimeOptimalReach) -> None:
-    free = hframe_problem.solve(START, GOAL).time_s
-    motion = HeldVoltageReach(HFRAME, 0.01, band=BAND).solve(START, GOAL, None, free)
-    assert motion.solved
-    assert free < motion.time_s < free + 0.01
-    period = np.floor(0.5 * (motion.edges_s[:-1] + motion.edges_s[1:]) / 0.01)
-    for k in np.unique(period):
-        volts = motion.volts[period == k]
-        np.testing.assert_allclose(volts, np.broadcast_to(volts[0], volts.shape), atol=1e-4)
-    assert len(np.unique(np.round(motion.volts[:, 0], 3))) > 3
-
-
-def test_held_voltages_approach_free_ones_as_the_period_shrinks(hframe_problem: TimeOptimalReach) -> None:
-    free = hframe_problem.solve(START, GOAL).time_s
-    coarse, fine = (
-        HeldVoltageReach(HFRAME, period, band=BAND).solve(START, GOAL, None, free) for period in (0.02, 0.005)
-    )
-    assert fine.solved
-    assert coarse.solved
-    assert free - 1e-4 < fine.time_s < coarse.time_s
 
 
 def test_a_fast_motor_turns_in_the_least_time_whatever_the_radius_of_its_coordinate() -> None:
