@@ -9,12 +9,14 @@ from typing import Any, Literal
 import numpy as np
 
 from ...arrays import Array
+from ...effects.smooth_table import HOOK_OF_KIND
 from ...machine import Machine
 from ...web_page import number
 from ..fit.parameter_diagnostics import parameter_doubts
 from ..judge.criteria import SelectionCriteria
+from ..judge.table import is_better_than_table
 from .curves import channel_noise, run_ratio
-from .result import STAGES, reason_of_remainder
+from .document import STAGES
 from .saved_result import SavedResult
 from .units import readable_unit
 
@@ -462,6 +464,37 @@ def _cause_of_remainder(report: Mapping[str, Any]) -> str:
     others = report.get("left_in_others")
     elsewhere = "" if others is None else f" On the other held-out runs, it is {number(others)} times."
     return f", because {subject} the fitted runs (see the warnings).{elsewhere}"
+
+
+def reason_of_remainder(report: Mapping[str, Any]) -> str:
+    """Return a clause about the error that the machine of the verdict leaves on the held-out runs.
+
+    Args:
+        report: Content of report.json, with the error `left`.
+
+    Returns:
+        What a formula that is recommended in place of a table leaves, if that is clearly less; what a table does not
+        describe, for another machine with a table; that voltages which the log lacks may be the cause; or that it is
+        not known.
+    """
+    tables = any(effect["name"].partition("[")[0] in HOOK_OF_KIND for effect in report["effects"])
+    formulas = {
+        math.sqrt(sum(error**2 for error in f["held_out"].values()) / len(f["held_out"])): " + ".join(
+            f["terms"]
+        )
+        for table in report.get("proposed_formulas", ())
+        for f in table["formulas"]
+        if f["recommended"] and f["held_out"]
+    }
+    error = min(formulas, default=math.inf)  # ratio of simulation error to noise, as `left`
+    if is_better_than_table(error, report["left"]):
+        return f"; with the proposed formula ({formulas[error]}) in place of the table, it is {number(error)} times"
+    if tables:
+        return ". A table has straight pieces and names no cause"
+    if report.get("unknown_voltages"):
+        commands = report["unknown_voltages"].get("commands", "voltages")
+        return f", of which the unknown {commands} between the rows may cause a part or all"
+    return ", whose cause was not found"
 
 
 def largest_position_error(errors: Mapping[str, Any]) -> str:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ...arrays import Array
 from ...web_page import number
-from .result import compared_machines
+from .document import compared_machines
 from .units import readable_unit
 
 _COLORS = {"declared": "declared", "plain": "series3", "before": "before", "after": "after"}
@@ -61,7 +61,7 @@ def run_ratio(
 
     Args:
         report: Content of report.json.
-        curves: Curves by name, SI, shape (n,) or (n, sensors); see `result.plot_data`.
+        curves: Curves by name, SI, shape (n,) or (n, sensors); see `plot_data`.
         run: Name of the run.
         channels: Names of the output channels.
         stage: Machine: "declared", "before", "after" or "plain".
@@ -87,7 +87,7 @@ def worst_first(report: Mapping[str, Any], curves: Mapping[str, Array], channels
 
     Args:
         report: Content of report.json.
-        curves: Curves by name, SI, shape (n,) or (n, sensors); see `result.plot_data`.
+        curves: Curves by name, SI, shape (n,) or (n, sensors); see `plot_data`.
         channels: Names of the output channels.
     """
     ratios = {run: run_ratio(report, curves, run, channels) for run in report["runs"]["held_out"]}
@@ -105,7 +105,7 @@ def page_curves(
 
     Args:
         report: Content of report.json.
-        curves: Curves by name, SI, shape (n,) or (n, sensors); see `result.plot_data`.
+        curves: Curves by name, SI, shape (n,) or (n, sensors); see `plot_data`.
         channels: Names of the output channels.
 
     Returns:

@@ -5,6 +5,7 @@ Fields with a default are missing in results of older versions. Text is for the 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
@@ -12,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 from ..judge.verdict import Verdict
 
 SCHEMA: Final = 1
+STAGES = ("declared", "before", "after")  # keys of the three machines in report.json
 
 
 class Entry(BaseModel):
@@ -273,3 +275,21 @@ class Report(Entry):
     warnings: list[str] = []
     proposed_formulas: list[TableOfFormulas] = []
     made: Made | None = None
+
+
+def compared_machines(report: Mapping[str, Any]) -> dict[str, str]:
+    """Return the machines that the report compares, with their labels, in the order in which they are shown.
+
+    Args:
+        report: Content of report.json.
+
+    Returns:
+        Labels by key of the machine: "declared"; "plain", if there is a plain fit; "before", the refitted machine; and
+        "after", the machine that is delivered, if it is not the refitted one.
+    """
+    labels = {"declared": "as declared", "plain": "plain fit", "before": "refitted"}
+    if not report.get("plain"):
+        del labels["plain"]
+    if report["effects"] or report["after"]["held_out"] != report["before"]["held_out"]:
+        labels["after"] = "with effects" if report["effects"] else "delivered"
+    return labels

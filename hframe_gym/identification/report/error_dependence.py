@@ -29,7 +29,7 @@ def error_panels(report: Mapping[str, Any], curves: Mapping[str, Array], machine
 
     Args:
         report: Content of report.json.
-        curves: Curves by name, SI, shape (n,) or (n, sensors); see `result.plot_data`.
+        curves: Curves by name, SI, shape (n,) or (n, sensors); see `plot_data`.
         machine: Identified machine.
 
     Returns:

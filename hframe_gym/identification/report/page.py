@@ -19,9 +19,9 @@ from ..fit.parameter_diagnostics import parameter_doubts
 from .answers import answers, drifts, largest_position_error, noise_ratio, percent, tone_of_remainder
 from .correlations import error_correlations
 from .curves import channel_noise, page_curves, worst_first
+from .document import STAGES, compared_machines
 from .instructions import next_steps
 from .plots import report_panels, save_plots, slow_fractions
-from .result import STAGES, compared_machines
 from .saved_result import load_result
 from .units import readable_unit
 

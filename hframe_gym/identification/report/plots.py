@@ -14,9 +14,9 @@ from ...files import remove_file
 from ...machine import AppliedEffect, Machine
 from ...web_page import Panel, color, legend_above, number, save_panels
 from .correlations import error_correlations
+from .document import compared_machines
 from .effect_curves import effect_curve
 from .error_dependence import error_panels
-from .result import compared_machines
 from .units import readable_unit
 
 Panels = dict[str, list[Panel]]
@@ -51,7 +51,7 @@ def report_panels(
 
     Args:
         report: Content of report.json.
-        curves: Curves by name, such as "force/after", SI, shape (m,) or (n, sensors); `result.plot_data` lists all.
+        curves: Curves by name, such as "force/after", SI, shape (m,) or (n, sensors); `plot_data` lists all.
         machine: Identified machine.
         declared: Machine as given. Effects that only the identified machine has are drawn, named as causes or not.
         runs: Names of the held-out runs, those first whose errors are drawn over time. Default: as in the report.

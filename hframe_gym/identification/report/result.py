@@ -1,42 +1,25 @@
-"""Hold the result of an identification and write it to a folder; `write_result` lists the files."""
+"""Hold the result of an identification, and state it as in report.json."""
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
-from ...arrays import Array
-from ...effects.smooth_table import HOOK_OF_KIND
 from ...errors import merge_run_warnings
-from ...files import atomic_file, output_batch, remove_file, write_text
 from ...machine import AppliedEffect
 from ...preparation.dataset import Dataset
-from ...recordings import save_machine
-from ...web_page import number
 from ..evidence.tried_effects import SelectedEffect
-from ..fit.channel_errors import errors_by_channel, simulation_error
+from ..fit.channel_errors import errors_by_channel
 from ..fit.inseparable_parameters import inseparable_parameters
-from ..fit.missing_force import Dependence, smooth_force_residual
-from ..fit.motion_variables import dependence_variables
+from ..fit.missing_force import Dependence
 from ..fit.parameter_diagnostics import parameters_at_limit, undeclared_friction
 from ..judge.criteria import SelectionCriteria
-from ..judge.table import is_better_than_table
 from ..judge.verdict import Verdict
 from ..validate.machine_errors import ModelEvaluation, PredictionErrors
 from ..validate.simpler_machines import PlainResult
 from . import document
 from .experiment_design import FILE, ExperimentDesign
-from .provenance import provenance
-
-STAGES = ("declared", "before", "after")  # keys of the three machines in report.json
-_MAX_POINTS = 4000  # Points of a thinned curve in evidence.npz.
 
 
 @dataclass(frozen=True)
@@ -166,7 +149,7 @@ class IdentificationResult:
     @property
     def evaluations(self) -> dict[str, ModelEvaluation]:
         """The machines with their errors, by the names "declared", "before" and "after"."""
-        return dict(zip(STAGES, (self.declared, self.before, self.after), strict=True))
+        return dict(zip(document.STAGES, (self.declared, self.before, self.after), strict=True))
 
     @property
     def limit_warnings(self) -> tuple[str, ...]:
@@ -333,176 +316,3 @@ def _considered(rejected: RejectedEffect) -> document.Considered:
         held_out_gain=_finite_or_none(rejected.held_out_gain),
         reason=rejected.reason,
     )
-
-
-class ReportEntry(Protocol):
-    """Part of report.json, such as the formulas that may replace a table (`formulas.TableComparison`)."""
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the entry of report.json."""
-
-
-def write_result(
-    result: IdentificationResult,
-    folder: Path,
-    warnings: Sequence[str] = (),
-    formulas: Sequence[ReportEntry] = (),
-    files: Sequence[Path] = (),
-) -> None:
-    """Write the result of an identification to a folder; `build_report` then adds the plots and report.html.
-
-    The files are report.json; declared.json, before.json and machine.json (the machine as declared, refitted, and with
-    effects); plain.json (that of the plain fit); evidence.npz (`plot_data`); next_experiment.csv, if a run is
-    proposed. They appear together or not at all.
-
-    Args:
-        result: Result of an identification: machines, selected effects and fitted runs.
-        folder: Folder to write to; created if it does not exist.
-        warnings: Findings about the recordings, one line of text each, for `warnings` in report.json.
-        formulas: Formulas that may replace each table (force interpolated over one variable) of the machine, with their
-            errors, for `proposed_formulas` in report.json.
-        files: Files of the recordings, for `made` in report.json, which tells where the result comes from.
-
-    Raises:
-        InputError: If another process writes to the folder.
-        OSError: If a file cannot be written.
-    """
-    arrays: dict[str, Any] = {name: _stored(name, values) for name, values in plot_data(result).items()}
-    warnings = [*result.notes, *warnings]
-    report = result.as_json() | {"warnings": warnings, "proposed_formulas": [c.as_json() for c in formulas]}
-    report["made"] = provenance(files)
-    with output_batch(folder):
-        save_machine(result.declared.machine, folder / "declared.json")
-        save_machine(result.before.machine, folder / "before.json")
-        save_machine(result.after.machine, folder / "machine.json")
-        if result.plain:
-            save_machine(result.plain.evaluation.machine, folder / "plain.json")
-        else:
-            remove_file(folder / "plain.json")
-        with atomic_file(folder / "evidence.npz") as file:
-            np.savez_compressed(file, **arrays)
-        if result.experiment:
-            result.experiment.write(folder / FILE, result.declared.machine)
-        else:
-            remove_file(folder / FILE)
-        write_text(folder / "report.json", json.dumps(report, indent=1, allow_nan=False) + "\n")
-
-
-def _stored(name: str, values: Array) -> NDArray[np.floating[Any]]:
-    """Return a curve as it is stored; times of a clock that began long ago need 64 bits."""
-    return values if name.endswith("/time_s") else values.astype(np.float32)
-
-
-def compared_machines(report: Mapping[str, Any]) -> dict[str, str]:
-    """Return the machines that the report compares, with their labels, in the order in which they are shown.
-
-    Args:
-        report: Content of report.json.
-
-    Returns:
-        Labels by key of the machine: "declared"; "plain", if there is a plain fit; "before", the refitted machine; and
-        "after", the machine that is delivered, if it is not the refitted one.
-    """
-    labels = {"declared": "as declared", "plain": "plain fit", "before": "refitted"}
-    if not report.get("plain"):
-        del labels["plain"]
-    if report["effects"] or report["after"]["held_out"] != report["before"]["held_out"]:
-        labels["after"] = "with effects" if report["effects"] else "delivered"
-    return labels
-
-
-def reason_of_remainder(report: Mapping[str, Any]) -> str:
-    """Return a clause about the error that the machine of the verdict leaves on the held-out runs.
-
-    Args:
-        report: Content of report.json, with the error `left`.
-
-    Returns:
-        What a formula that is recommended in place of a table leaves, if that is clearly less; what a table does not
-        describe, for another machine with a table; that voltages which the log lacks may be the cause; or that it is
-        not known.
-    """
-    tables = any(effect["name"].partition("[")[0] in HOOK_OF_KIND for effect in report["effects"])
-    formulas = {
-        math.sqrt(sum(error**2 for error in f["held_out"].values()) / len(f["held_out"])): " + ".join(
-            f["terms"]
-        )
-        for table in report.get("proposed_formulas", ())
-        for f in table["formulas"]
-        if f["recommended"] and f["held_out"]
-    }
-    error = min(formulas, default=math.inf)  # ratio of simulation error to noise, as `left`
-    if is_better_than_table(error, report["left"]):
-        return f"; with the proposed formula ({formulas[error]}) in place of the table, it is {number(error)} times"
-    if tables:
-        return ". A table has straight pieces and names no cause"
-    if report.get("unknown_voltages"):
-        commands = report["unknown_voltages"].get("commands", "voltages")
-        return f", of which the unknown {commands} between the rows may cause a part or all"
-    return ", whose cause was not found"
-
-
-def plot_data(result: IdentificationResult) -> dict[str, Array]:
-    """Compute the curves that the report plots.
-
-    The residual force is the force that would have to be added for a machine to follow the measurements. Thinned curves
-    have fewer than 8000 points.
-
-    Args:
-        result: Result of an identification: machines, selected effects and fitted runs.
-
-    Returns:
-        Arrays by name, where RUN is the name of a held-out run (not fitted) with n samples.
-
-        - ``RUN/time_s``: sample times of each held-out run, s, shape (n,).
-        - ``RUN/measured``: its measurements minus the sensors' zeros, m or rad, shape (n, sensors).
-        - ``RUN/declared``, ``RUN/before``, ``RUN/after``: simulation errors of the declared, refitted and corrected
-          machine, m or rad, shape (n, sensors).
-        - ``RUN/inputs``: its inputs, in the drives' units, shape (n, drives).
-        - ``RUN/plain``: the same of the plain fit; absent if there is none.
-        - ``force/variable``: variable that the residual force of the fitted runs depends on most, thinned to m points,
-          SI, shape (m,); absent if there is none.
-        - ``force/before``, ``force/after``: residual force of the refitted and of the corrected machine at these
-          points, N or Nm, shape (m,).
-        - ``coverage/NAME``: motion and inputs of the fitted runs, thinned, SI, shape (m,). NAME is an input channel, or
-          "position of C" or "velocity of C" for each linear coordinate C (if there is none, for each coordinate).
-    """
-    curves: dict[str, Array] = {}
-    for run in result.held_out.runs:
-        curves |= {f"{run.name}/time_s": run.time_s, f"{run.name}/measured": run.outputs}
-        curves[f"{run.name}/inputs"] = run.inputs
-        plain = {"plain": result.plain.evaluation} if result.plain else {}
-        for name, evaluation in (result.evaluations | plain).items():
-            evaluated = evaluation.errors.get(run.name)
-            error = (
-                simulation_error(evaluation.machine, run, result.held_out) if evaluated is None else evaluated
-            )
-            curves[f"{run.name}/{name}"] = error
-    if result.dependence:
-        data, strongest = result.fitted, result.dependence[0]
-        i = result.declared.machine.coordinate_names.index(strongest.coordinate)
-        by_run = [
-            dependence_variables(result.before.machine, run, data)[strongest.variable] for run in data.runs
-        ]
-        thin = max(1, sum(map(len, by_run)) // _MAX_POINTS)
-        curves["force/variable"] = np.concatenate(by_run)[::thin]
-        for name in ("before", "after"):
-            machine = result.evaluations[name].machine
-            forces = [smooth_force_residual(machine, run, data)[:, i] for run in data.runs]
-            curves[f"force/{name}"] = np.concatenate(forces)[::thin]
-    return curves | {f"coverage/{name}": values for name, values in _coverage(result).items()}
-
-
-def _coverage(result: IdentificationResult) -> dict[str, Array]:
-    """Return positions, velocities and inputs of the fitted runs, thinned."""
-    machine, data = result.before.machine, result.fitted
-    linear = [c.name for c in machine.coordinates if c.kind == "linear"]
-    names = [
-        f"{what} of {c}" for what in ("position", "velocity") for c in linear or machine.coordinate_names
-    ]
-    by_run = [dependence_variables(machine, run, data) for run in data.runs]
-    thin = max(1, sum(len(run.time_s) for run in data.runs) // _MAX_POINTS)
-    return {
-        name: np.concatenate([values[name] for values in by_run])[::thin]
-        for name in (*names, *machine.input_channels)
-    }

@@ -1,4 +1,4 @@
-"""Read the folder that `result.write_result` wrote, and check that its files are complete and consistent."""
+"""Read the folder that `write_result` wrote, and check that its files are complete and consistent."""
 
 from __future__ import annotations
 
@@ -20,9 +20,8 @@ from ...files import complete_commit, newest, read_arrays, read_document
 from ...machine import Machine
 from ...operating_system import quoted
 from ...recordings import load_machine
-from .document import Report
+from .document import STAGES, Report
 from .formulas import ProposedFormula, mean_error, propose_formulas, tables_of
-from .result import STAGES
 
 
 @dataclass(frozen=True)
@@ -33,7 +32,7 @@ class SavedResult:
         report: Content of report.json.
         machine: Identified machine with the selected effects.
         declared: Machine as declared.
-        curves: Curves of the plots by name, such as "RUN/measured", SI; `result.plot_data` lists them.
+        curves: Curves of the plots by name, such as "RUN/measured", SI; `plot_data` lists them.
     """
 
     report: dict[str, Any]

@@ -49,7 +49,7 @@ from hframe_gym.identification.predict.voltage_errors import (
     simulation_error,
     with_voltage_errors,
 )
-from hframe_gym.identification.report.result import reason_of_remainder
+from hframe_gym.identification.report.answers import reason_of_remainder
 from hframe_gym.machine import BUILTIN_MACHINES
 from hframe_gym.recordings import Recording
 from tests.identification.controlled_runs import controlled_run, every, random_places

@@ -36,8 +36,9 @@ from hframe_gym.identification.report.error_dependence import error_panels
 from hframe_gym.identification.report.experiment_design import FILE, ExperimentDesign
 from hframe_gym.identification.report.instructions import next_steps
 from hframe_gym.identification.report.page import build_report
+from hframe_gym.identification.report.plot_data import plot_data
 from hframe_gym.identification.report.plots import report_panels
-from hframe_gym.identification.report.result import Unfinished, Verdict, plot_data
+from hframe_gym.identification.report.result import Unfinished, Verdict
 from hframe_gym.identification.report.saved_result import load_result, next_command
 from hframe_gym.identification.validate.machine_errors import PredictionErrors
 from hframe_gym.identification.validate.simpler_machines import PlainResult
