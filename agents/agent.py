@@ -112,12 +112,6 @@ class Agent(Controller):
 
     @override
     def act(self, observation: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
-        """Compute the actions for the control period that starts now; call it once per period.
-
-        Raises:
-            InputError: If the observation does not have the form of the training: an array has another width, or
-                `preview` is missing or superfluous, or it is normalized.
-        """
         self._check_units(observation)
         previews = "preview" in self.policy.observation_space.spaces
         if previews != ("preview" in observation):

@@ -33,14 +33,11 @@ class AgentSource(ControllerSource):
     def make(name: str, scenario: Scenario) -> Agent | None:
         """Load a trained agent, and warn if it was trained with another machine, control period or other sensors.
 
-        Args:
-            name: Folder of an agent, or name of an agent that comes with the package, for example "ppo".
-            scenario: Scenario in which the agent will run. Its task selects among the agents of the package.
+        The name is a folder, or an agent of the package, such as "ppo", of which the scenario's task selects one.
 
         Raises:
             InputError: If the package has the agent for other tasks only, the folder holds no agent, its files are
-                damaged, or the machine has other numbers of axes, observed coordinates or drives than the machine of
-                the training.
+                damaged, or the training had other numbers of axes, observed coordinates or drives.
             ImportError: If the extra `agents` is not installed.
         """
         folder = _agent_folder(name, scenario.task_name)
@@ -71,11 +68,7 @@ class AgentSource(ControllerSource):
     @staticmethod
     @override
     def files(name: str, scenario: Scenario) -> ControllerFiles | None:
-        """List the files that determine an agent, so that results can identify it by their hash.
-
-        Raises:
-            InputError: If the folder holds no agent or its description is damaged.
-        """
+        """List the files that determine an agent, so that results can identify it by their hash."""
         folder = _agent_folder(name, scenario.task_name)
         if folder is None:
             return None

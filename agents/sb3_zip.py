@@ -113,11 +113,7 @@ class ZipSource(ControllerSource):
     @staticmethod
     @override
     def files(name: str, scenario: Scenario) -> ControllerFiles | None:
-        """List the file, by whose content results identify the model, and its algorithm and number of training steps.
-
-        Raises:
-            InputError: If the file is no model of stable-baselines3.
-        """
+        """List the file, whose content identifies the model, and its algorithm and number of training steps."""
         if not _is_zip(name):
             return None
         data = _data(Path(name))

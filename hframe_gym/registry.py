@@ -77,9 +77,8 @@ def import_plugin(name: str) -> None:
 def _import_from_user(module: str) -> None:
     """Import a module that a user named: where Python finds it, else in the current folder.
 
-    The `hframe` command does not have the current folder on `sys.path`, unlike `python -m`. It is added if it has the
-    module, so that the module can import others beside it and worker processes find it too. It comes last, so that
-    files in it replace no installed module.
+    The folder is then appended to `sys.path`, so that the module and worker processes find modules beside it; it comes
+    last, so that files in it replace no installed module.
     """
     top_level = module.partition(".")[0]
     try:

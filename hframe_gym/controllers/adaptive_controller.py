@@ -112,11 +112,9 @@ class AdaptiveController(FullStateController):
 
     @override
     def act_on_state(self, state: TravelStates, goals: PreviewedGoals) -> Actions:
-        """Update the estimates and compute the actions for the control period that starts now.
+        """Update the estimates and compute the actions.
 
-        Raises:
-            InputError: If the goal moves and the preview ends less than 4 periods (PERIODS_AHEAD + 1) after the dead
-                time of the drives.
+        The preview of a moving goal must cover the dead time of the drives and PERIODS_AHEAD + 1 periods.
         """
         model = self.model
         if self._starts.resize(len(state)):

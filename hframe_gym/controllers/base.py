@@ -281,12 +281,6 @@ class FullStateController(Controller):
 
     @override
     def act(self, observation: KeyedObservation) -> Actions:
-        """Compute the actions for the control period that starts now; call it once per period.
-
-        Raises:
-            InputError: If the observation does not fit the machine or is normalized, or the preview is too short for
-                the controller.
-        """
         check_keys(observation)
         state = self.model.state(observation)
         check_state_units(observation, self.model)
@@ -362,12 +356,9 @@ class OutputFeedbackController(Controller):
 
     @override
     def act(self, observation: KeyedObservation) -> Actions:
-        """Estimate the state from the measurements and compute the actions for the control period that starts now.
+        """Estimate the state from the measurements, then compute the actions.
 
         Columns of `observation` beyond the estimator's channels are ignored.
-
-        Raises:
-            InputError: If a measurement is not finite, or the observation is normalized or one array.
         """
         check_keys(observation)
         model = self.estimator.model

@@ -41,11 +41,7 @@ class EnvironmentController(Controller):
 
     @override
     def act(self, observation: Any) -> NDArray[Any]:
-        """Compute the actions for the control period that starts now; call it once per period.
-
-        Args:
-            observation: Observation as the environment returns it: arrays by key or, with `flat`, one array;
-                with a first axis of B environments if it is of a vector.
+        """Compute the actions from an observation as the environment returns it; a vector's has a first axis of B.
 
         Returns:
             Voltages divided by the rated voltages, in [-1, 1], float32, shape (drives,) or (B, drives).

@@ -89,11 +89,6 @@ class ModelBasedController(FullStateController):
 
     @override
     def act_on_state(self, state: TravelStates, goals: PreviewedGoals) -> Actions:
-        """Compute the actions for the control period that starts now.
-
-        Raises:
-            InputError: If the preview ends within the dead time of the drives.
-        """
         self._begin_period(state)
         goal_moves = goals.shape[1] > 1
         motor_voltage = self._track(state, goals) if goal_moves else self._reach(state, goals[:, 0])

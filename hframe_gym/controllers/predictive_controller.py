@@ -101,11 +101,6 @@ class PredictiveController(FullStateController):
 
     @override
     def act_on_state(self, state: TravelStates, goals: PreviewedGoals) -> Actions:
-        """Compute the actions for the control period that starts now.
-
-        Raises:
-            InputError: If the preview ends within the dead time of the drives.
-        """
         if self._starts.resize(len(state)):
             self._resize(len(state))
         self._begin_episodes(self._starts.mask)

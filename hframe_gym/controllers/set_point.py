@@ -148,11 +148,7 @@ class SetPointController(Controller):
 
     @override
     def act(self, observation: KeyedObservation) -> Actions:
-        """Compute the set points, as fractions of the rated ones, for the control period that starts now.
-
-        Raises:
-            InputError: If the observation does not fit the machine or is normalized.
-        """
+        """Compute the set points, as fractions of the rated ones."""
         check_keys(observation)
         check_goal_units(observation, self.machine)
         position = np.asarray(observation["achieved_goal"], np.float64)

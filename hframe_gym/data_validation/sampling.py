@@ -124,12 +124,7 @@ def check_sampling(recording: Recording) -> list[Finding]:
 
 
 def _late_stamps(time_s: Array, gaps: NDArray[np.bool_]) -> bool:
-    """Return whether long steps are late time stamps, which short steps follow, and no row is missing.
-
-    Args:
-        time_s: Sample times, s, shape (n,).
-        gaps: True for steps that are longer than a period, shape (n - 1,).
-    """
+    """Return whether long steps, `gaps` (n - 1,), are late time stamps: short steps follow, and no row is missing."""
     steps = np.diff(time_s)
     short = steps < (2.0 - GAP_PERIODS) * np.median(steps)
     if np.count_nonzero(short) < 0.5 * np.count_nonzero(gaps):
@@ -310,19 +305,11 @@ class _Feedthrough(NamedTuple):
 def _feedthrough(runs: Sequence[PreparedRecording], machine: Machine) -> _Feedthrough:
     """Test whether measurements depend on the voltages of their own rows, which act only afterwards.
 
-    Each measurement is predicted by linear regression from the voltages and measurements of the previous four rows,
-    then from the voltages of its own row as well. An F-test compares the two. In open loop, the test holds for any
-    missing effect, because the part of a voltage that previous rows do not predict is independent of the motion. A
-    controller makes voltages depend on the measurements of their own row, but with the opposite sign: it pulls back.
-    Such a dependence does not count. Sensors that measured in less than half of the rows are ignored.
-
-    Args:
-        runs: Runs of a machine (voltages, V, shape (n, drives); measurements, m or rad, shape (n, sensors)).
-        machine: Declared machine, for the directions in which voltages move the sensors.
-
-    Returns:
-        The dependence of the sensor with the smallest probability; 1, 0 and 0 if too few rows are complete or nothing
-        moves.
+    An F-test compares two linear regressions: from voltages and measurements of the previous four rows, and from the
+    voltages of the own row as well. In open loop, it holds for any missing effect, because the part of a voltage that
+    previous rows do not predict is independent of the motion. A controller makes voltages depend on the measurements of
+    their own row, but with the opposite sign, for which `machine` is needed; such a dependence does not count. Sensors
+    that measured in less than half of the rows are ignored. Without complete rows or motion, the probability is 1.
     """
     period = float(np.median(np.concatenate([np.diff(r.time_s) for r in runs])))
     drives = runs[0].inputs.shape[1]

@@ -307,10 +307,9 @@ def _is_speed(motion: _SpanMotion, sensor: int) -> bool:
 def _ratios(motion: _SpanMotion, data: Dataset, machine: Machine) -> list[Finding]:
     """Report encoders that move too far or too little for the travel that other sensors measure.
 
-    Sensors with a fixed zero are the reference where they determine the motion. Elsewhere encoders are compared with
-    each other; of those that contradict each other, the one is named whose speed differs more from the simulated one.
-    Positions are compared over complete runs, because fast motion also stretches the belts. A small deviation is
-    advice, not a fault: a scale error of the other sensors, which identification can find, has the same appearance.
+    The reference are sensors with a fixed zero, elsewhere encoders compared with each other. Complete runs are
+    compared, because fast motion also stretches the belts. A small deviation is advice: a scale error of the other
+    sensors, which identification can find, has the same appearance.
     """
     kinds = [machine.coordinate(s.coordinate).kind for s in machine.sensors]
     compared = [j for j, s in enumerate(machine.sensors) if s.incremental or kinds[j] == "rotary"]

@@ -97,16 +97,7 @@ def _without_ends(outputs: Array, ends: Array, machine: Machine) -> Array:
 def _longest_stuck_interval(
     recording: Recording, inside: Array, channel: int, ends: Array, noisy: bool, machine: Machine
 ) -> tuple[float, float, str]:
-    """Return duration, s, value and reason of the longest interval in which a channel is stuck; 0 s if there is none.
-
-    Args:
-        recording: Run with n rows.
-        inside: Its outputs without those that may be clipped, shape (n, sensors).
-        channel: Index of the sensor.
-        ends: Smallest and largest measurement of the sensor over all runs, shape (2,).
-        noisy: Whether the sensor has noise at rest.
-        machine: Declared machine.
-    """
+    """Return duration, s, value and reason of the longest interval in which a channel is stuck; 0 s if none."""
     measured = np.flatnonzero(np.isfinite(recording.outputs[:, channel]))
     values, time_s = recording.outputs[measured, channel], recording.time_s[measured]
     prediction = rigid_prediction(inside, channel, machine)

@@ -46,12 +46,7 @@ class JaxStage(Stage[Any]):
 
     @override
     def rollout(self, start: Any, voltages: Any, parameters: Any = None) -> Any:
-        """Simulate as `Stage.rollout` does.
-
-        Raises:
-            InputError: As in `Stage.rollout`.
-            JaxRuntimeError: If a motion diverges; JAX reports the `NotFiniteError` in its text.
-        """
+        """Simulate as `Stage.rollout` does; JAX reports its `NotFiniteError` in the text of a `JaxRuntimeError`."""
         values = jnp.asarray(self.nominal if parameters is None else parameters)
         if values.ndim == 1:
             values = jnp.broadcast_to(values, (len(start), len(values)))

@@ -57,13 +57,10 @@ def _next_integral(
     integral_rate: Any,
     torque_limit: Any,
 ) -> Any:
-    """Return the integral of the error of the speed, m or rad, after the time dt.
+    """Return the integral of the error of the speed, m or rad, after the time dt; w: begin, middle and end of the step.
 
     The wanted torque is taken as linear within the step. The integral grows in the part of the step in which the torque
     is within its limit; otherwise the time at which it is held would be known to a step only.
-
-    Args:
-        w: Commanded speed at the beginning, in the middle and at the end of the step, m/s or rad/s.
     """
     first, middle, last = w
     v = dq / maximum(dt, _SMALLEST_DIVISOR)

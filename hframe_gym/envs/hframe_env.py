@@ -148,14 +148,9 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
                 for this episode; `state`: positions of the machine's n coordinates, then their velocities, in their
                 units, shape (2 n,), in place of `start` and rest.
 
-        Returns:
-            observation: Arrays by key, shape (entries of the key,), see Observation Space of the class.
-            info: See Episode End of the class.
-
         Raises:
-            InputError: If an option or a parameter is unknown, a value has another shape, is not finite or outside its
-                limits, a position is outside the workspace, `target` is given for a task without one, such as "track",
-                or an unbounded distribution yields an impossible parameter.
+            InputError: If an option or a parameter is unknown or impossible, a position is outside the workspace, or
+                `target` is given for a task without one, such as "track".
         """
         keywords = reset_keywords(options, self.batch, 1)  # an error changes no random numbers
         super().reset(seed=seed)
@@ -173,17 +168,10 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
 
     @override
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Apply constant motor voltages for one control period.
+        """Apply voltages, as fractions of the rated ones limited to [-1, 1], shape (drives,), for one control period.
 
-        Args:
-            action: Voltages as fractions of the rated voltages, shape (drives,); limited to [-1, 1].
-
-        Returns:
-            observation: Arrays by key, shape (entries of the key,), see Observation Space of the class.
-            reward: Reward, dimensionless, see Rewards of the class.
-            terminated: Whether `achieved_goal` is outside the workspace; always False unless `ends` is "terminate".
-            truncated: Always False; `gym.make` adds the limit of 150 steps.
-            info: See Episode End of the class.
+        `terminated` is False unless `ends` is "terminate" and `achieved_goal` is outside the workspace; `truncated` is
+        always False, because `gym.make` adds the limit of 150 steps.
 
         Raises:
             ValueError: If the action has another shape or an entry is not finite.
@@ -268,10 +256,6 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
     @override
     def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
         """Draw the machine from above, with belts, goal and the past path of the tool.
-
-        Returns:
-            Mode "rgb_array": picture, uint8, shape (height, width, 3). Mode "human": None; updates the window. Without
-            a render mode: None, with a warning.
 
         Raises:
             ImportError: If pygame is missing; the message names the extra.

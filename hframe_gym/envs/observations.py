@@ -256,12 +256,10 @@ class ObservationBuilder:
 
 
 def _measurement_program(position: PositionFromSensors, sensors: Sequence[Sensor], axes: int) -> LaneProgram:
-    """Compile the function that computes an observation from measurements, for n sensors.
+    """Compile the function that computes an observation from measurements: them, then the rates of positions.
 
-    The observation holds the measurements, then the rates of those that are positions. The position along an axis is
-    the measurement itself where that is strictly inside its range, else what the other sensors give on unstretched
-    belts. All are limited to the rows of `bounds`: lower and upper bounds of the measurements and their rates, then of
-    the axes.
+    The position along an axis is the measurement itself where that is strictly inside its range, else what the other
+    sensors give on unstretched belts. The rows of `bounds` limit measurements and rates first, then the axes.
     """
     n = len(sensors)
     rated = [j for j, sensor in enumerate(sensors) if sensor.of_position]

@@ -115,11 +115,7 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
 
     @override
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Store the seeds for the next reset: environment i gets the seed `seed` + i. Default: a random one.
-
-        Raises:
-            InputError: If the seed is not an integer or negative; the stored seeds remain.
-        """
+        """Store seeds for the next reset, `seed` + i for environment i; None draws a random `seed`."""
         if seed is not None and not (is_integer(seed) and seed >= 0):
             raise InputError(f"seed is {seed!r}, it must be an integer that is not negative, or None")
         seeds: Sequence[int | None] = super().seed(None if seed is None else int(seed))
@@ -127,14 +123,9 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
 
     @override
     def reset(self) -> Any:
-        """Begin episodes in all environments, with the seeds and options that `seed` and `set_options` stored.
+        """Begin episodes with the seeds and options that `seed` and `set_options` stored, for this reset only.
 
-        The stored options are used for this reset only. The stored seeds are cleared too, unless the reset raises an
-        error: the next reset then uses them.
-
-        Returns:
-            Observation arrays by key, float32, shape (num_envs, entries of the key), in the units of the observation
-            space; with `flat=True` or an id such as "HFrameFlat-v0" one array of shape (num_envs, entries).
+        The stored seeds remain if the reset raises an error: the next reset then uses them.
 
         Raises:
             InputError: If an option is unknown, a position is outside the workspace, or `set_options` gave an option to
@@ -170,11 +161,7 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
 
     @override
     def step_async(self, actions: NDArray[Any]) -> None:
-        """Store actions; `step_wait` applies them.
-
-        Args:
-            actions: Voltages as fractions of the rated voltages, limited to [-1, 1], shape (num_envs, drives).
-        """
+        """Store actions, fractions of the rated voltages, shape (num_envs, drives); `step_wait` applies them."""
         self._actions = actions
 
     @override
@@ -183,15 +170,10 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
     ) -> tuple[Any, NDArray[np.float64], NDArray[np.bool_], list[dict[str, Any]]]:
         """Advance by one control period with the actions that `step_async` has received.
 
-        Returns:
-            observation: Arrays by key, shape (num_envs, entries of the key), or one array as in `reset`. Where an
-                episode ended, this is the first observation of the next one.
-            reward: Rewards, dimensionless, shape (num_envs,).
-            done: Whether the episode ended, by termination or truncation, shape (num_envs,).
-            infos: One dict per environment. With the reward "progress": the goals before the step, as observed, by the
-                keys `previous_achieved_goal` and, if goals move, `previous_desired_goal`. Where an episode ended, also
-                `terminal_observation`, `TimeLimit.truncated` (whether the limit of steps ended it), `is_success` (tool
-                within the task's band around the goal) and `distance_m` to the goal, m, at its end.
+        Where an episode ended, the observation is the first one of the next episode, and `infos` also has `is_success`
+        (tool within the task's band around the goal) and `distance_m` to the goal, m, at its end. With the reward
+        "progress", it has the goals before the step: `previous_achieved_goal` and, if goals move,
+        `previous_desired_goal`.
 
         Raises:
             ValueError: If the actions have another shape or an entry is not finite.

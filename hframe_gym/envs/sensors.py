@@ -119,10 +119,7 @@ class Sensors(SensorSuite):
 
     @override
     def apply(self, machine: Machine) -> Machine:
-        """Return a copy of a machine in which lasers measure x and y and encoders measure the driven coordinates.
-
-        A sensor that the machine already has for such a coordinate becomes this laser or encoder: it gets its kind,
-        noise, resolution and range. A missing sensor is added.
+        """Let lasers measure x and y, and encoders the driven coordinates; other sensors of these are replaced.
 
         Raises:
             InputError: If a drive acts on x or y itself, which would then have both a laser and an encoder.

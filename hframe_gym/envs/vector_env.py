@@ -137,11 +137,6 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
             options: The keys of `HFrameEnv.reset`, with one value for all or one row for each environment
                 that is reset; `reset_mask`, the environments to reset, bool, shape (num_envs,).
 
-        Returns:
-            observation: Arrays by key of all environments, shape (num_envs, entries of the key).
-            info: Arrays by key (see Episode End of `HFrameEnv`), shape (num_envs,); zero for environments that are not
-                reset. As usual in Gymnasium, for each key the mask "_" + key tells which environments have a value.
-
         Raises:
             InputError: As `HFrameEnv.reset`.
             TypeError: If the mask is not an array of bool.
@@ -188,14 +183,10 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
 
     @override
     def step(self, actions: Any) -> tuple[Observation, Array, Flags, Flags, dict[str, Any]]:
-        """Advance all environments by one control period; begin new episodes where they are due.
+        """Advance all environments by one control period as `HFrameEnv.step`; begin new episodes where they are due.
 
         With `autoreset_mode` "NextStep" a new episode begins in the step after its predecessor's end, which ignores the
-        action and has reward 0; with "SameStep" in the last step; with "Disabled" only by `reset`. Results are those of
-        `HFrameEnv.step` with a first axis of num_envs; `info` has masks as in `reset`.
-
-        Args:
-            actions: Voltages as fractions of the rated voltages, limited to [-1, 1], shape (num_envs, drives).
+        action and has reward 0; with "SameStep" in the last step; with "Disabled" only by `reset`.
 
         Raises:
             ValueError: If the actions have another shape or an entry is not finite.
@@ -297,11 +288,7 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
 
     @override
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:  # type: ignore[override]
-        """Draw the machine of every environment from above: pictures, uint8, shape (height, width, 3).
-
-        Raises:
-            ImportError: If pygame is missing; the message names the extra.
-        """
+        """Draw the machine of every environment from above: pictures, uint8, shape (height, width, 3)."""
         if self.render_mode is None:
             return None
         if self._renderer is None:

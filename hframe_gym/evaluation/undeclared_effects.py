@@ -68,13 +68,9 @@ class Sometimes(Distribution):
 
     @override
     def quantile(self, u: Array) -> Array:
-        """Compute quantiles (inverse of the cumulative distribution function); for uniform u they are samples.
+        """Compute quantiles: in ascending order, the log-uniform numbers and the constant.
 
-        From u = 0 to u = 1, the quantiles pass through:
-
-        - with `signed`: negative log-uniform numbers, 0, positive log-uniform numbers;
-        - with `otherwise` >= `high`: the log-uniform numbers, then the constant;
-        - else: the constant, then the log-uniform numbers.
+        With `signed`, negative log-uniform numbers, 0 and positive ones.
         """
         size = LogUniform(self.low, self.high)
         below = self.probability if self.otherwise >= self.high else 0.5 * self.probability * self.signed

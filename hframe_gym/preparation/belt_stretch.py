@@ -82,11 +82,7 @@ def static_equilibrium(machine: Machine, positions: Array) -> Array:
 
 
 def _forces_at_rest(machine: Machine, positions: Array) -> Array:
-    """Return the force of the effects on each coordinate of a machine at rest, N or Nm, shape (runs, coordinates).
-
-    Args:
-        positions: Position of every coordinate in each run, m or rad, shape (runs, coordinates).
-    """
+    """Return the force of the effects on each coordinate of a machine at rest, N or Nm, shape (runs, coordinates)."""
     motion = np.repeat(positions[:, None], 2, axis=1)  # two equal samples of each run
     inputs = np.zeros((2, len(machine.drives)))
     forces = effect_forces(machine, np.array([0.0, 1e-3]), motion, np.zeros_like(motion), inputs)

@@ -196,17 +196,10 @@ def _block_medians(outputs: Array, size: int) -> Array:
 def _departure(
     medians: Array, count: int, tolerance: Array, limit: Array | float
 ) -> tuple[int, NDArray[np.bool_]]:
-    """Return after how many blocks a channel that is still in the first ones departs, and which channels do.
+    """Return after how many blocks a channel that is still in the first `count` ones departs, and which channels do.
 
-    Args:
-        medians: Medians of the blocks, shape (blocks, sensors).
-        count: Number of the first blocks, in which all channels must be still.
-        tolerance: Largest variation at rest, shape (sensors,).
-        limit: Largest range before the departure, with slow noise; a channel that leaves it departs, shape (sensors,).
-
-    Returns:
-        Number of blocks before the first departure, 0 if there is none or a channel moves in the first ones already,
-        and a mask of the channels that depart, shape (sensors,).
+    A channel departs if it leaves `limit`, its largest range with slow noise. The number is 0 if none departs or a
+    channel moves in the first blocks already.
     """
     reference = medians[:count]
     variation = peak_to_peak(reference)

@@ -77,14 +77,7 @@ def measured_initial_state(
 def _switched_on_anew(
     machine: Machine, alone: InitialState, zeros: EncoderZeros, quanta: Array
 ) -> NDArray[np.bool_]:
-    """Mark the encoders (sensors,) whose measurements at rest contradict their zero in the session.
-
-    Args:
-        machine: Machine with belts.
-        alone: Initial state that was estimated without these zeros.
-        zeros: Zeros of the encoders in the session.
-        quanta: Quanta of the sensors, m or rad, shape (sensors,).
-    """
+    """Mark the encoders (sensors,) whose measurements at rest contradict their zero in the session."""
     moved = np.zeros(len(machine.sensors), np.bool_)
     fixed = np.array([s.fixed for s in machine.sensors])
     tolerance = zero_tolerance(machine, zeros, quanta)
@@ -152,13 +145,7 @@ def model_initial_states(machine: Machine, initial: Sequence[InitialState]) -> l
 
 
 def _set_encoder_angles(machine: Machine, initial: InitialState, measured: Array, positions: Array) -> None:
-    """Replace angles in static equilibrium by those that encoders with a known zero measure, in place.
-
-    Args:
-        initial: Measured initial state of the run.
-        measured: Positions without the machine's effects on measurements, m or rad, shape (coordinates,).
-        positions: Positions in static equilibrium, m or rad, shape (coordinates,), of which pulleys are replaced.
-    """
+    """Replace pulley angles in static equilibrium by those that encoders with a known zero measure, in place."""
     # Encoders are not used if an effect changes the position that lasers measure and their zeros are not corrected yet.
     if not initial.zeros_refined and not np.array_equal(measured, initial.position):
         return
@@ -209,9 +196,8 @@ def _concentric_angle(machine: Machine, index: int, angle: float) -> float:
 def _position_from_measurements(machine: Machine, initial: InitialState) -> Array:
     """Return the true positions (coordinates,) at rest from measurements at rest that the machine's effects falsify.
 
-    Effects on the measurements of lasers (skew, scale) are inverted iteratively. For a laser that measured nothing at
-    rest (end of its range), the encoders give the position, after correction of their angles for eccentric pulleys and
-    for the belt stretch that forces cause at rest.
+    Effects on lasers (skew, scale) are inverted iteratively. For a laser that measured nothing at rest, the encoders
+    give the position, corrected for eccentric pulleys and for the belt stretch that forces cause at rest.
     """
     if initial.lasers_measured or not machine.effects:
         return _without_measurement_effects(machine, initial, initial.position.copy())

@@ -275,13 +275,7 @@ def _zeros_by_command(recording: Recording, machine: Machine, resting_rows: int)
 def _position_matrix(
     machine: Machine, zeros: EncoderZeros, usable: NDArray[np.bool_], *, moving: bool
 ) -> Array:
-    """Return the matrix (coordinates, sensors) that gives positions from measurements minus zeros by least squares.
-
-    Args:
-        zeros: Zeros of the encoders.
-        usable: Mask of the sensors that measure the position, shape (sensors,).
-        moving: Whether the run begins in motion, so that the drives stretch the belts.
-    """
+    """Return the matrix (coordinates, sensors) that gives positions from measurements minus zeros of usable sensors."""
     stretched = zeros.resolves_stretch | moving
     encoders = np.where(zeros.known, np.where(stretched, _STRETCHED_WEIGHT, 1.0), _FALLBACK_WEIGHT)
     weight = np.where([s.fixed for s in machine.sensors], 1.0, encoders)
@@ -431,17 +425,10 @@ def _fit_velocity(
     vibration: Array,
     of_velocity: NDArray[np.bool_],
 ) -> tuple[Array, Array] | None:
-    """Return the velocities of the rigid motions at the first row and their covariance, from parabolas.
+    """Return the velocities of the rigid motions at the first row and their covariance, from parabolas over `rows`.
 
-    Args:
-        rows: Number of the first rows, to which the parabolas are fitted.
-        sensor_of_motion: Measurement per unit of each rigid motion, shape (sensors, motions).
-        noise: Standard deviation of each sensor, shape (sensors,).
-        vibration: Speed of the vibration that each sensor measures in addition to the rigid motions, shape (sensors,).
-        of_velocity: True for sensors of velocities, whose parabolas give the velocity by their value, shape (sensors,).
-
-    Returns:
-        Velocities (motions,) and covariance (motions, motions); None if they are not significant or not measured.
+    Sensors `of_velocity` give the velocity by the value of their parabola; each sensor measures the speed `vibration`
+    in addition to the rigid motions. None if the velocities are not significant or not measured.
     """
     time_s = recording.time_s - recording.time_s[0]
     slopes, deviations = np.zeros(len(noise)), np.full(len(noise), np.inf)

@@ -156,9 +156,8 @@ def repetitions(values: Array) -> float:
 def _held_regularly(sizes: Array, intervals: NDArray[np.int_]) -> bool:
     """Return whether changes of a channel without a quantum come at regular intervals, whatever their size is.
 
-    Steps of a sensor that are not equal are not recognized as a quantum either. In slow motion, they come at intervals
-    that depend on the speed and differ from step to step, and their sizes are similar. Intervals of a sensor that is
-    held may differ by one row, because its period is no whole number of rows.
+    Unequal steps of a sensor are no quantum either; in slow motion their intervals depend on the speed, and their sizes
+    are similar. Intervals of a held sensor may differ by one row, because its period is no whole number of rows.
     """
     shortest, longest = np.percentile(intervals, [10, 90])
     smallest, largest = np.percentile(sizes, [10, 90])
@@ -228,13 +227,7 @@ def without_silences(recording: Recording) -> Recording:
 
 
 def _goes_on(steps: Array, spans: Array, i: int) -> bool:
-    """Return whether the motion around a long time between new values goes on during it.
-
-    Args:
-        steps: Differences of successive new values, shape (k,).
-        spans: Times between them, s, shape (k,).
-        i: Index of the long one, neither the first nor the last.
-    """
+    """Return whether the motion around a long time between new values, spans[i] in s, goes on during it."""
     sides = slice(max(i - _NEIGHBORS, 0), i), slice(i + 1, i + 1 + _NEIGHBORS)
     usual = max(float(np.median(spans[side])) for side in sides)
     largest = max(float(np.abs(steps[side]).max()) for side in sides)

@@ -83,14 +83,9 @@ def without_outliers(recording: Recording, machine: Machine) -> Recording:
 
 
 def _isolated_samples(time_s: Array, values: Array, floor: float) -> Mask:
-    """Return the mask of the outliers among the measured samples of one channel, shape (n,).
+    """Return the mask of the outliers among the measured samples of a channel, which depart by more than `floor`.
 
     Short departures are removed first, so that a second one nearby does not spoil the scale of a longer one.
-
-    Args:
-        time_s: Sample times, s, strictly increasing, shape (n,).
-        values: Finite measurements, shape (n,).
-        floor: Departure below which no sample is an outlier, in the unit of the values.
     """
     outliers = np.zeros(len(values), np.bool_)
     for length in range(1, _LONGEST_OUTLIER + 1):
@@ -128,14 +123,8 @@ def _isolated_segments(time_s: Array, values: Array, length: int, floor: float) 
 def _begins_or_ends_move(values: Array, first: int, length: int, floor: float) -> bool:
     """Return whether samples lead from one neighbor to the other where a sensor rests before or after them.
 
-    In a slow log, a move from rest to rest has a few samples. Where the sensor rests before and after them, at two
-    places, they may also turn back in between, as a drive that overshoots or sticks does.
-
-    Args:
-        values: Measurements, shape (n,).
-        first: Index of the segment's first sample.
-        length: Number of samples of the segment.
-        floor: Change below which a sensor rests, in the unit of the values.
+    In a slow log, a move from rest to rest has a few samples. Where the sensor rests (changes below `floor`) before and
+    after them, at two places, they may also turn back in between, as a drive that overshoots or sticks does.
     """
     before, after = (
         values[max(first - _NEIGHBORS, 0) : first],
@@ -154,12 +143,6 @@ def _speed_change(time_s: Array, values: Array, first: int, length: int) -> floa
     """Return how far a segment could move by the change of speed around it, in the unit of the values.
 
     A shock or a voltage step moves the samples after it too, so the speeds before and after it differ.
-
-    Args:
-        time_s: Sample times, s, shape (n,).
-        values: Measurements, shape (n,).
-        first: Index of the segment's first sample.
-        length: Number of samples of the segment.
     """
     before = slice(max(first - _NEIGHBORS, 0), first)
     after = slice(first + length, first + length + _NEIGHBORS)
@@ -173,16 +156,10 @@ def _speed_change(time_s: Array, values: Array, first: int, length: int) -> floa
 
 
 def _departures(time_s: Array, values: Array, length: int) -> Array:
-    """Return how far each segment departs from the motion around it, shape (n - length - 3,).
+    """Return how far each segment departs from the motion around it, shape (n - length - 3,), from sample 2 on.
 
-    Args:
-        time_s: Sample times, s, shape (n,).
-        values: Measurements, shape (n,).
-        length: Number of samples of a segment; the first segment begins at sample 2, the last ends at sample n - 3.
-
-    Returns:
-        Smallest distance of the segment's samples from three straight lines: through the two samples before it, through
-        the two samples after it, and from the last sample before it to the first one after it.
+    It is the smallest distance of its samples from three straight lines: through the two samples before it, through the
+    two samples after it, and from the last sample before it to the first one after it.
     """
     # (length + 4, segments): two before, the segment, two after
     t = sliding_window_view(time_s, length + 4).T

@@ -18,18 +18,10 @@ from .native_calls import call_at
 
 @compiled_only
 def _delayed_interval(k: int, s: int, steps: int, delay: float, h: float) -> tuple:
-    """Find the voltages that act during a step after a delay: those of one period, or of two.
+    """Find the periods whose voltages act during step s of period k after a delay, s.
 
-    Args:
-        k: Index of the period among those whose voltages are given.
-        s: Index of the step in the period.
-        steps: Number of steps per period.
-        delay: Delay of the drive, s.
-        h: Length of a step, s.
-
-    Returns:
-        Index of the period whose voltage acts first, of the next one, and the fraction of the step in which the latter
-        acts. Before the first period, its voltage acts.
+    Return the period that acts first, the next one, and the fraction of the step, of length h in s, in which the latter
+    acts. Before the first period, its voltage acts.
     """
     begin = k * steps + s - delay / h  # of the interval in which the voltages were commanded, in steps
     i = int(np.floor(begin / steps + 1e-9))  # not the period before because of rounding
@@ -39,17 +31,10 @@ def _delayed_interval(k: int, s: int, steps: int, delay: float, h: float) -> tup
 
 @compiled_only
 def _set_voltages(block: int, k: int, steps: int, h: float, inputs, delays, delayed: bool, out) -> None:
-    """Set the voltages of a period: one row per drive, or with delays the mean voltages of each step.
+    """Set the voltages of a period, V: one row per drive, or with delays the mean voltages of each step.
 
-    Args:
-        block: Index of the block.
-        k: Index of the period in `inputs`.
-        steps: Number of steps per period.
-        h: Length of a step, s.
-        inputs: Voltages, V, shape (B, earlier and simulated periods, drives).
-        delays: Delay of each drive, s, shape (drives, LANES).
-        delayed: Whether a drive has a delay.
-        out: Output, V, shape (drives or steps * drives, LANES).
+    inputs (B, earlier and simulated periods, drives) V; delays (drives, LANES) s; h: length of a step, s. out (drives
+    or steps * drives, LANES).
     """
     for lane in range(LANES):
         b = min(block * LANES + lane, inputs.shape[0] - 1)
@@ -69,13 +54,7 @@ def _set_voltages(block: int, k: int, steps: int, h: float, inputs, delays, dela
 def _add_voltages_back(
     block: int, k: int, steps: int, h: float, inputs, delays, delayed: bool, adjoint, out, delays_out
 ) -> None:
-    """Add the derivatives by the voltages of a period; the transpose of `_set_voltages`.
-
-    Args:
-        adjoint: Derivatives by the voltages of the steps, 1/V, shape (drives or steps * drives, LANES).
-        out: Output, derivatives by the voltages, 1/V, in the shape of `inputs`.
-        delays_out: Output, derivatives by the delays, 1/s, shape (drives, LANES).
-    """
+    """Add the derivatives by voltages, 1/V, and delays, 1/s, of a period; the transpose of `_set_voltages`."""
     for lane in range(min(LANES, out.shape[0] - block * LANES)):
         b = block * LANES + lane
         for j in range(delays.shape[0]):

@@ -138,12 +138,7 @@ class Track(Task):
 
     @override
     def check(self, workspace: Workspace) -> None:
-        """Check that the path fits into the workspace.
-
-        Raises:
-            InputError: If a shape with its margin does not fit, a point of a file is outside (the message names row and
-                column), or the machine has one axis and the path is a file.
-        """
+        """Check that the path with its margin fits into the workspace; a path from a file needs two axes."""
         if self._is_file:
             if len(workspace) != 2:
                 raise InputError(
@@ -186,13 +181,9 @@ class Track(Task):
     ) -> tuple[Array, Array]:
         """Choose path, center, direction and phase (point of the path where the goal starts) of k episodes.
 
-        The center is random if the attribute `centre` is None; direction and phase, if `direction` and `phase` are. The
-        path is chosen at random if `path` is a tuple of names. A path from a file is followed from its first point.
-
-        Returns:
-            start: Start positions of the tool, which are the first goals, m, shape (k, axes).
-            plan: Index of the path, center (m), direction (+1 or -1), arc length at the start (m), speed (m/s), shape
-                (k, 4 + axes).
+        What the attributes `path`, `centre`, `direction` and `phase` do not fix is random. A path from a file is
+        followed from its first point. A row of the plan is: index of the path, center (m), direction (+1 or -1), arc
+        length at the start (m), speed (m/s).
         """
         axes = len(workspace)
         plan = np.zeros((len(uniforms), 4 + axes))

@@ -121,9 +121,7 @@ def _without_effects(machine: Machine) -> Machine:
 def _random_motions(machine: Machine) -> tuple[Array, Array]:
     """Simulate a machine, at rest in the middle of its workspace at first, under random rated voltages.
 
-    Returns:
-        Positions, m or rad, shape (histories, n, coordinates).
-        Magnitudes of the speeds, as rates of the belt travel, m/s, of the same shape.
+    Return positions, m or rad, and magnitudes of the belt travel's rates, m/s, (histories, n, coordinates) each.
     """
     rated = np.array([drive.rated_voltage for drive in machine.drives])
     inputs = _random_telegraph(len(rated)) * rated

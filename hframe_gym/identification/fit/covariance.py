@@ -153,13 +153,7 @@ def student_widening(information: Array, estimator: Array) -> Array:
 def _directions(fitted: Fit, data: Dataset, prior: Array) -> Array:
     """Return the changes of theta over which differences are taken, one per column, shape (k, k).
 
-    Thresholds change alone, each by the amount that data determine. All other parameters change along the principal
-    axes.
-
-    Args:
-        fitted: Fit of k parameters.
-        data: Runs that were fitted.
-        prior: Precision of the prior of theta, shape (k, k).
+    Thresholds change alone, each by the amount that data determine; all other parameters along the principal axes.
     """
     switches = np.array([f.switch for f in fitted.free], dtype=bool)
     directions, smooth = np.zeros_like(prior), np.ix_(~switches, ~switches)
@@ -250,12 +244,7 @@ def _linearize(
 
 
 def _estimated_delay(parts: list[_RunPart], inverse: Array) -> float:
-    """Return the delay of the inputs, in sampling periods, that minimizes the residual of the fit.
-
-    Args:
-        parts: Linearized residual of every run.
-        inverse: Inverse of the information with the prior, along the directions, shape (k, k).
-    """
+    """Return the delay of the inputs, in sampling periods, that minimizes the residual of the fit."""
     products, scores = (
         np.sum(values, axis=0)
         for values in zip(*((p.delay_products, p.scores.sum(axis=0)) for p in parts), strict=True)

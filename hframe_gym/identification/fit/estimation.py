@@ -158,17 +158,10 @@ def fit(
 def _descend(
     model: ResidualModel, theta: Array, iterations: int, tolerance: float
 ) -> tuple[Array, float, Array]:
-    """Reduce the cost by Levenberg-Marquardt steps, with one step of the finite differences.
+    """Reduce the cost by Levenberg-Marquardt steps, until its relative decrease per iteration is below the tolerance.
 
-    Args:
-        model: Residual as a function of theta.
-        theta: Initial theta, shape (k,).
-        iterations: Maximum number of iterations.
-        tolerance: Relative decrease per iteration below which the search ends.
-
-    Returns:
-        Theta, shape (k,); its cost with the penalty of the prior, infinite if the machine diverges; Fisher information
-        without the prior at the last expansion point, shape (k, k).
+    Return theta; its cost with the penalty of the prior, infinite if the machine diverges; and the Fisher information
+    without the prior at the last expansion point.
     """
     free, prior = model.free, prior_precision(model.free)
     information, cost = np.zeros((len(free), len(free))), math.inf
@@ -204,14 +197,7 @@ def _best_trial(
 ) -> tuple[Array, float]:
     """Return the trial with the lowest cost and this cost; theta and its cost if no trial has a lower one.
 
-    All trials are simulated as one batch.
-
-    Args:
-        expansion: Linearized residual, which gives the costs.
-        precision: Precision of the prior, shape (k, k).
-        trials: Theta of the trials, shape (trials, k).
-        theta: Present theta, shape (k,).
-        cost: Its cost with the penalty of the prior.
+    All trials, shape (trials, k), are simulated as one batch.
     """
     costs = expansion.costs(trials) + np.einsum("bi,ij,bj->b", trials, precision, trials)
     best = int(np.argmin(costs))

@@ -172,19 +172,9 @@ def _determined_sum(
     unit: Array,
     names: list[str],
 ) -> dict[str, float]:
-    """Return the weights of the sum of parameters that is constant along reduced directions.
+    """Return the weights, by name, of the sum of parameters that is constant along reduced directions; the first is 1.
 
-    Args:
-        free: Index of the parameter, no pivot, that this sum has beside pivots.
-        members: Indices of the parameters of the directions.
-        rows: Indices of the directions.
-        pivots: Index of the pivot parameter of each direction.
-        directions: Reduced directions in multiples of `unit`, shape (directions, parameters).
-        unit: Units of the parameters, shape (parameters,).
-        names: Names of the parameters.
-
-    Returns:
-        Weight by name, in the order of the parameters; the first is 1.
+    The sum has pivots and the one parameter `free` beside them. The directions are in multiples of `unit`.
     """
     weights = {free: 1.0 / unit[free]}
     weights |= {
@@ -196,16 +186,9 @@ def _determined_sum(
 
 
 def _row_echelon(rows: Array) -> tuple[Array, list[int]]:
-    """Reduce rows (m, k) so that each has a column with a 1 in which all others are 0.
+    """Reduce independent rows (m, k) so that each has a pivot column with a 1 in which all others are 0.
 
-    Each row takes its largest element as its pivot, so that rows about different columns do not mix.
-
-    Args:
-        rows: Linearly independent rows.
-
-    Returns:
-        Reduced rows, shape (m, k).
-        Index of each row's pivot column.
+    The pivot is the largest element of a row, so that rows about different columns do not mix. Return the pivots, too.
     """
     reduced, pivots = rows.copy(), []
     for i in range(len(reduced)):

@@ -86,16 +86,10 @@ def _compared_forces(
     resolved: float,
     sensor_delays: Mapping[str, float],
 ) -> tuple[Array, Array] | None:
-    """Return the forces of the drives and of the model, N or Nm, at every tenth row, shape (rows, coordinates) each.
+    """Return the forces of the drives and of the model, N or Nm, at every tenth row, (rows, coordinates) each.
 
-    Args:
-        measured: Measured positions, m or rad, shape (n, coordinates), NaN where not measured.
-        noise: Standard deviations of their noise, m or rad, shape (coordinates,).
-        resolved: Frequency up to which they resolve forces, Hz.
-        sensor_delays: Delay of each coordinate's sensor, s.
-
-    Returns:
-        Forces; None if the run has too few rows. Rows near long gaps and at the ends of the run are left out.
+    Positions resolve forces up to the frequency `resolved`, Hz. Rows near long gaps and at the ends of the run are left
+    out; None if too few remain.
     """
     complete = np.flatnonzero(np.isfinite(measured).all(axis=1))
     if not len(complete) or complete[-1] + 1 - complete[0] < MIN_ROWS:
@@ -171,9 +165,8 @@ def _inverse_dynamics(
 ) -> tuple[Array, Array]:
     """Return the forces of the drives and of the model along a measured motion, N or Nm, (n, coordinates) each.
 
-    The measured motion is late by the delay of each coordinate's sensor, s; the voltages are delayed as much. The force
-    of the drives is that of the machine without effects. All effects, even those on a drive, belong to the force of the
-    model. At zero velocity, dry friction has the value within its limits that makes the error smallest.
+    The voltages are delayed as much as each coordinate's sensor, s. All effects, even those on a drive, belong to the
+    force of the model. At zero velocity, dry friction has the value within its limits that makes the error smallest.
     """
     drives = zip(Equations(machine).voltage_delays(), machine.drives, strict=True)
     delays = [delay + sensor_delays[drive.coordinate] for delay, drive in drives]

@@ -186,14 +186,7 @@ def _most_probable(
 ) -> tuple[PreparedRecording, float]:
     """Return a run with the most probable voltages in dropped rows, and how much information determines them.
 
-    Args:
-        run: Run with a first estimate of the voltages.
-        unknowns: Dropped rows whose voltages are estimated.
-        bandwidth: Bandwidth of the observer that corrects the prediction, rad/s.
-
-    Returns:
-        The run with its voltages, and the sum of the logarithms of the information about each, -inf if the prediction
-        diverges.
+    It is the sum of the logarithms of the information about each, -inf if the prediction diverges.
     """
     best, lowest, logarithm = run, np.inf, -np.inf
     step = np.zeros(unknowns.expected.shape)  # V
@@ -218,15 +211,9 @@ def _posterior(
 ) -> tuple[float, Array, sparse.csr_array]:
     """Return how improbable the voltages of a run are, and the linear system of a Gauss-Newton step.
 
-    Args:
-        run: Run with its voltages.
-        unknowns: Dropped rows whose voltages are estimated.
-        bandwidth: Bandwidth of the observer that corrects the prediction, rad/s.
-
-    Returns:
-        Cost: -2 times the logarithm of the posterior density plus a constant, at the most likely variance of the
-        noise; inf if the prediction diverges. Half of its gradient, 1/V, shape (r * drives,). The information about
-        the voltages, 1/V^2, shape (r * drives, r * drives).
+    The cost is -2 times the logarithm of the posterior density plus a constant, at the most likely variance of the
+    noise; inf if the prediction diverges. Then follow half of its gradient, 1/V, and the information about the
+    voltages, 1/V^2.
     """
     weights = 1.0 / unknowns.deviations.ravel() ** 2
     prior = sparse.csr_array(sparse.diags_array(weights))
@@ -274,21 +261,11 @@ def _interpolated(run: PreparedRecording, rows: Rows, lengths: Rows, held: bool)
 def _interpolated_drive(
     time_s: Array, recorded: Array, rows: Rows, length: int, held: bool
 ) -> tuple[Array, Array]:
-    """Return expected voltages in gaps of one length, and the standard deviations of their errors, V.
+    """Return interpolated voltages in gaps of `length` rows, and the standard deviations of their errors, V, (r,) each.
 
     Recorded rows are predicted like the middle of a gap. The square of the error is a constant plus a multiple of the
-    squared change of the voltage across the gap: where a stepping voltage is equal on both sides, it hardly errs.
-
-    Args:
-        time_s: Sample times, s, shape (n,).
-        recorded: Voltage of a drive, V, NaN in dropped rows, shape (n,).
-        rows: Dropped rows, shape (r,).
-        length: Length of the gaps that they belong to, in rows.
-        held: Whether the last recorded values are expected, not interpolated ones.
-
-    Returns:
-        Voltages and standard deviations, V, shape (r,) each. If fewer than ten rows can be predicted where the voltage
-        changes, the deviation is the change across the gap.
+    squared change of the voltage across the gap: where a stepping voltage is equal on both sides, it hardly errs. If
+    fewer than ten rows can be predicted where the voltage changes, the deviation is the change across the gap.
     """
     distance = (length + 2) // 2  # of the middle of a gap from its ends, in rows
     # Rows before and after each row: the nearest that are known, and those at twice their distance.

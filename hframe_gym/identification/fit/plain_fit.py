@@ -389,12 +389,7 @@ def _with_coefficients(machine: Machine, R: Array, found: Mapping[int, tuple[flo
 
 
 def _ratios(shares: Array, ratios: Array) -> Array:
-    """Return a factor for each coordinate: the mean ratio of the motions, weighted by its share in each of them.
-
-    Args:
-        shares: Shares of the coordinates in the motions, shape (motions, coordinates).
-        ratios: Ratio of fitted to declared value of each motion, shape (motions,).
-    """
+    """Return a factor for each coordinate: the mean ratio of the motions, weighted by its share in each."""
     total = shares.sum(axis=0)
     logarithms = np.log(np.maximum(ratios, _LEAST_RATIO)) @ shares
     return np.exp(np.divide(logarithms, total, out=np.zeros_like(total), where=total > 0.0))

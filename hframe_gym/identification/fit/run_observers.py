@@ -79,10 +79,7 @@ def _variances(fitted: Fit, data: Dataset, bandwidth: float) -> Array:
 def _losses(costs: Array, counts: Array, variances: Array) -> tuple[Array, Array]:
     """Return the losses, n (log s + c / (n v s) + log v), and s of every run, shape (runs,) each.
 
-    Args:
-        costs: c of every run, shape (runs,).
-        counts: n of every run, shape (runs,).
-        variances: v and the mean of log v of every run, shape (runs, 2).
+    c are the costs, n the counts; variances (runs, 2) are v and the mean of log v.
     """
     with np.errstate(invalid="ignore"):
         ratio = costs / (counts * variances[:, 0])

@@ -195,15 +195,7 @@ def _polynomial(values: Array) -> Columns:
 
 
 def _curve(values: Array, knots: int) -> Columns:
-    """Return the pieces of a curve with straight parts over a variable; between knots are as many rows.
-
-    Args:
-        values: The variable, shape (n,).
-        knots: Number of knots; fewer if the variable has fewer values.
-
-    Returns:
-        Hat functions, shape (n, at most knots).
-    """
+    """Return hat functions (n, at most knots) over a variable (n,); between knots are as many rows."""
     places = np.unique(np.quantile(values, np.linspace(0.0, 1.0, knots)))
     if len(places) < 2:
         return np.ones((len(values), 1))
@@ -211,17 +203,9 @@ def _curve(values: Array, knots: int) -> Columns:
 
 
 def _periodic(evidence: Evidence, index: int, position: str, speed: str, factor: Columns) -> Columns:
-    """Return sine and cosine of the period in a position that explains the most; nothing of short periods is seen.
+    """Return sine and cosine (rows, 2) of the period in a position that explains the most, multiplied by the factor.
 
-    Args:
-        evidence: Force or disagreement that is explained.
-        index: Coordinate or sensor at which the cause acts.
-        position: Name of the position.
-        speed: Name of its rate.
-        factor: What the sine multiplies, shape (rows, 1).
-
-    Returns:
-        Sine and cosine, shape (rows, 2).
+    Nothing of short periods is seen.
     """
     signals = evidence.signals
     places = signals.compared(signals[position][:, None])[:, 0]

@@ -128,19 +128,11 @@ def _spectrum(
 def _explained_power(
     points: NDArray[np.int64], span: float, position: Array, velocity: Array, factor: Array, force: Array
 ) -> Array:
-    """Return the square sum that a sine and a cosine at each point of the grid explain, shape (points,).
+    """Return the square sum that a sine and a cosine at each point of the grid of rates explain, shape (points,).
 
     Their products with the force and with constant, viscous and dry friction are Fourier transforms over the position.
     Each row is distributed over the two neighboring cells of a grid of positions by linear interpolation, so that fast
     Fourier transforms can be used.
-
-    Args:
-        points: Rates, in periods over `_POINTS_PER_PERIOD` times the range.
-        span: Range of the positions.
-        position: Positions above the lowest, shape (n,).
-        velocity: Velocities, shape (n,).
-        factor: Factor of sine and cosine in each row, shape (n,).
-        force: Missing force, shape (n,).
     """
     # Orthonormal basis of constant, viscous and dry friction, whose best fit is subtracted from the force.
     basis, _ = np.linalg.qr(np.stack([np.ones_like(position), velocity, np.sign(velocity)], axis=1))

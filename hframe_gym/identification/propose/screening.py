@@ -302,12 +302,8 @@ def _score(
 ) -> ScoredCandidate:
     """Return the cost that a candidate would save with its best admissible amounts.
 
-    Args:
-        candidate: Candidate with k columns.
-        information: Products of its columns after elimination of the free parameters, shape (k, k).
-        gradient: Their products with the residual, shape (k,).
-        before: Squares of the columns before elimination, shape (k,).
-        chi2: Cost per value of the present fit, which scales the smoothness prior of tables.
+    information and gradient are of its columns after elimination of the free parameters, `before` of those before it.
+    The cost per value of the present fit, chi2, scales the smoothness prior of tables.
     """
     nothing = ScoredCandidate(candidate, 0.0, (0.0,) * len(gradient))
     if not np.all(np.isfinite(information)) or not np.any(np.diag(information) > _MIMICKED * before):
@@ -400,11 +396,6 @@ def _structure_gains(
 
     The difference of the two predictions, without the part that the free parameters can reproduce, is multiplied by its
     best positive weight.
-
-    Args:
-        simulated: Variants of the machine with an effect at a site, in which the starting values differ.
-        current: Fit of the machine without these effects.
-        data: Runs that were fitted.
     """
     if not simulated:
         return {}

@@ -154,17 +154,10 @@ def table_variables(machine: Machine, data: Dataset) -> dict[str, Array]:
 
 
 def _explained_fraction(variable: Array, samples: Array, *, symmetric: bool) -> tuple[float, Array]:
-    """Return the fraction of the sum of squares that the means over bins explain, and knots for a table.
+    """Return the fraction of the sum of squares that means over bins explain, and knots, denser where the means bend.
 
-    Args:
-        variable: Variable of the table, shape (n,).
-        samples: Force or Coulomb friction force, shape (n,).
-        symmetric: Whether the range of the knots is symmetric about zero, so that a table over a velocity covers both
-            directions.
-
-    Returns:
-        Fraction between 0 and 1, in addition to what the mean over all samples explains, and knots, denser where the
-        means bend, shape (knots,).
+    The fraction is in addition to what the mean over all samples explains. Symmetric knots of a table over a velocity
+    cover both directions.
     """
     # Outliers do not widen the range; they count in the end bins.
     low, high = np.percentile(variable, [0.05, 99.95])
@@ -339,15 +332,8 @@ def _left_out_ratio(fitted: Fit, reference: Fit, data: Dataset, criteria: Select
     With two dozen values, a table can fit almost any residual; one over the wrong variable fails on other data. Without
     a whole run, values of the variable that only this run passes would not be determined. Where even half a run is the
     only one that passes some values, the cost of this half is large. The mean is therefore geometric, which one half
-    does not dominate. The halves are weighted by their cost in the reference, because the others need no table.
-
-    Args:
-        fitted: Fit with the table to judge.
-        reference: Fit without the table, or with other knots.
-        criteria: Decision thresholds, among them `cross_validation_blocks`.
-
-    Returns:
-        Ratio of the costs, below 1 where `fitted` is better; infinite if a machine diverges.
+    does not dominate. The halves are weighted by their cost in the reference, because the others need no table. The
+    ratio is infinite if a machine diverges.
     """
     pieces = max(2, -(-criteria.cross_validation_blocks // len(data.runs)))  # of each run; more of few runs
     return cost_ratio(*(np.array(left_out_costs(f, data, pieces)) for f in (fitted, reference)))

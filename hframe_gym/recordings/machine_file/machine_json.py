@@ -184,11 +184,7 @@ def _cause(errors: Sequence[Any]) -> Any:
 
 
 def _reason(error: dict[str, Any]) -> str:
-    """Return what is wrong in a field and what to do.
-
-    Args:
-        error: Error of pydantic, with its type, location, message and input.
-    """
+    """Return what is wrong in a field, by an error of pydantic, and what to do."""
     *parents, field = error["loc"] or ("",)
     table = _table_at(parents)
     here = fields(table)

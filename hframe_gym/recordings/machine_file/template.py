@@ -524,13 +524,7 @@ def _with_masses(machine: Machine, options: MachineOptions) -> Machine:
 def _sensors(
     machine: Machine, gear_ratios: Mapping[str, float], options: MachineOptions
 ) -> tuple[Sensor, ...]:
-    """Return the sensors: encoders on the motor shafts, then the sensors of the carriages.
-
-    Args:
-        machine: Machine with the new drives.
-        gear_ratios: Gear ratios of the template by name of the drives' coordinates, rad/rad or rad/m.
-        options: Values that replace those of the template.
-    """
+    """Return the sensors: encoders on the motor shafts, then those of the carriages."""
     carriages = [s for s in machine.sensors if s.kind != "encoder"] if options.linear_sensor else []
     if options.encoder_lines is None:
         ratio = {d.coordinate: gear_ratios[d.coordinate] / d.gear_ratio for d in machine.drives}

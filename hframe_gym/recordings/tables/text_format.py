@@ -291,12 +291,8 @@ def _is_comment(line: str) -> bool:
 def _edits(lines: Sequence[str]) -> tuple[list[tuple[re.Pattern[str], str]], list[str], list[str]]:
     """Find the parts of lines that do not belong to a table.
 
-    Args:
-        lines: Lines of the file.
-
-    Returns:
-        Patterns with their replacements, the names of the columns if they stand before the numbers, else none, and
-        deviations from a recording.
+    Return patterns with their replacements, names of columns that stand before the numbers, and deviations from a
+    recording.
     """
     rows = [line.rstrip(" ") for line in lines if not _is_comment(line) and any(map(str.isdigit, line))]
     starting = [row for row in rows if _ROW_START.match(row)]
@@ -432,20 +428,10 @@ class _LineAbove:
 def _detect_header(
     lines: Sequence[str], cells: Sequence[Sequence[str]], first: int, widths: Sequence[int], separator: str
 ) -> tuple[list[str], list[str], list[str]]:
-    """Find the names and units of the columns above the first row of numbers.
+    """Find names ("#1", ... without a header) and units of the columns above the first row of numbers, and deviations.
 
     They are in the last line above the data and in the line before it, in either order; if the last line that is no
-    comment does not fit, they are in comments.
-
-    Args:
-        lines: Lines of the file.
-        cells: Cells of each line, none of a comment.
-        first: Line of the first row of numbers.
-        widths: Number of cells of the rows, and that of other numbers of names that fit.
-        separator: Character between cells.
-
-    Returns:
-        Names ("#1", ... if there is no header), units ("" where there is none), and deviations from a recording.
+    comment does not fit, they are in comments. `widths` are the numbers of cells of the rows, and of names that fit.
     """
     deviations = ["its first line is sep="] if lines[0].lower().startswith("sep=") else []
     above = []

@@ -185,8 +185,7 @@ def _motion(path: Path, name: str, params: Sequence[dict[str, Any]], measured_s:
     """Return commanded positions, velocities and accelerations of the axes, of which the log has the pieces.
 
     A piece of constant acceleration has its time, duration, initial speed, acceleration, initial position and
-    direction. The motion is given at the times of the sensors' measurements, shape (m,), s, or every millisecond if
-    there are none.
+    direction. Without times of sensors' measurements, the motion is given every millisecond.
     """
     rows = [row for block in params if isinstance(block.get("data"), list) for row in block["data"]]
     try:
