@@ -10,18 +10,19 @@ import dataclasses
 import math
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from ..errors import InputError
 from ..machine import Machine
 from ..parallel import single_threaded_linear_algebra
-from ..preparation.dataset import Dataset, runs_that_should_move
+from ..preparation.dataset import Dataset, runs_that_should_move, with_known_positions
 from ..preparation.division import copied_runs, divide_runs, moving_runs
-from ..preparation.excerpt import representative_part
+from ..preparation.excerpt import is_long, representative_part
 from ..preparation.session import Session, prepare_session
 from ..recordings import Recording
 from ..registry import load_plugins
-from .budget import COMPARISON_PART, DEFAULT_SECONDS, Budget
+from .budget import COMPARISON_PART, DEFAULT_SECONDS, LAST_STAGE_END, Budget, BudgetEndedError
 from .evidence.tried_effects import Log
 from .fit.run_differences import describe_run_differences
 from .judge.criteria import SelectionCriteria
@@ -88,6 +89,9 @@ def identify(
     session = prepare_session(recordings, machine, criteria, log)
     all_runs, statements = _without_silent_runs(session, held_names, log)
 
+    if any(is_long(r, machine) for r in session.recordings if r.name in held_names):
+        budget.reserve(_seconds_of_an_evaluation(session, all_runs, held_names, criteria))
+
     # Refit, then propose effects, fit them, gather evidence and judge it, until none passes: in the fitted runs.
     found = find_effects(
         session.machine,
@@ -113,7 +117,8 @@ def identify(
     if puzzling and not found.outcome.unfinished and budget.has_time(COMPARISON_PART):
         runs = representative_part(found.comparable_runs(session.data), machine, every_run=True)
         # From the machine of the search: the one that is delivered may describe what the runs do not have in common.
-        remarks += describe_run_differences(evaluated.outcome.after, runs, criteria)
+        with suppress(BudgetEndedError), budget.limiting(LAST_STAGE_END):
+            remarks += describe_run_differences(evaluated.outcome.after, runs, criteria)
 
     # Report.
     result = build_result(delivered, found, remarks, budget)
@@ -131,6 +136,16 @@ def _budget(budget: float | Budget | None, recordings: Sequence[Recording], log:
         rows = sum(len(recording.time_s) for recording in recordings)
         log(f"{len(recordings)} runs, {rows} rows: at most about {budget.seconds:.0f} s of processor time")
     return budget
+
+
+def _seconds_of_an_evaluation(
+    session: Session, all_runs: Dataset, held_names: Sequence[str], criteria: SelectionCriteria
+) -> float:
+    """Return the processor time that the errors of a machine on the held-out runs take, s."""
+    held_out, _ = with_known_positions(all_runs.with_runs(held_names))
+    began = time.process_time()
+    HeldOutTest(session, held_out, criteria).errors(session.machine, all_runs)
+    return time.process_time() - began
 
 
 def _without_copies(

@@ -70,6 +70,15 @@ def representative_part(
     return dataclasses.replace(data, runs=tuple(parts))
 
 
+def is_long(recording: Recording, machine: Machine) -> bool:
+    """Return whether a run is longer than one of a normal session.
+
+    Args:
+        machine: Machine that was recorded.
+    """
+    return len(recording.time_s) * len(machine.coordinates) > NORMAL_SESSION / _RUNS
+
+
 def describe_part(part: Dataset, data: Dataset) -> str:
     """Describe which part of the runs is used, for the log: "40000 of 300000 rows, of 5 of 5 runs".
 

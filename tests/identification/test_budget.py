@@ -14,13 +14,16 @@ from hframe_gym.identification.budget import (
     COMPARISON_PART,
     DEFAULT_SECONDS,
     LAST_STAGE_END,
+    PLAIN_FIT_PART,
     Budget,
     BudgetEndedError,
+    goes_on,
     spend,
     spender,
     stage_ends,
 )
 from hframe_gym.identification.fit.estimation import Fit
+from hframe_gym.identification.fit.plain_fit import plain_fit
 from hframe_gym.identification.search import model_search, search_effects
 from hframe_gym.machine import BUILTIN_MACHINES
 from tests.identification.single_axis import AXIS, axis_runs, limited_runs
@@ -110,6 +113,9 @@ def test_the_page_states_when_each_stage_ends() -> None:
     rows = {
         "search": [p.search for p in cases],
         "tests of what a search that ended early found": [p.tests for p in cases],
+        "last fit of the machine without effects, where the tests took all of their time": [
+            p.last_fit for p in cases
+        ],
         "fit of what was found to all rows": [p.all_rows if k % 2 else None for k, p in enumerate(cases)],
         "description of the remaining error": [None, None, LAST_STAGE_END, LAST_STAGE_END],
     }
@@ -236,3 +242,52 @@ def test_each_iteration_of_a_fit_asks_the_budget() -> None:
     assert len(steps) > 1
     with Budget(1.0, clock=Clock()).limiting(), pytest.raises(BudgetEndedError):
         fit(AXIS, default_free_parameters(AXIS), data, 60.0)
+
+
+def test_a_stage_that_must_deliver_ends_its_fits_instead_of_unwinding() -> None:
+    spent = [0.0]
+    budget = Budget(100.0, clock=lambda: spent[0])
+    with budget.limiting(0.5, delivers=True):
+        spent[0] = 40.0
+        assert goes_on()
+        spent[0] = 60.0
+        assert not goes_on()
+        spend("another trial")
+        spender()()
+    with budget.limiting(0.5), pytest.raises(BudgetEndedError):
+        goes_on()
+    assert goes_on()
+
+
+def test_a_plain_fit_without_time_is_delivered_and_says_so() -> None:
+    """Its clock jumps beyond the budget at once: one iteration of one fit is left, which is better than no fit."""
+    data = axis_runs(AXIS, rows=1000, volts=6.0)
+    complete = plain_fit(AXIS, data)
+    hurried = plain_fit(AXIS, data, Budget(1.0, clock=Clock()))
+    assert complete is not None
+    assert hurried is not None
+    assert complete.seconds is None
+    assert hurried.seconds is not None
+    assert hurried.seconds > PLAIN_FIT_PART
+    assert complete.simulated.cost <= hurried.simulated.cost < math.inf
+    assert hurried.terms == ()
+
+
+def test_long_held_out_runs_let_the_stages_end_earlier() -> None:
+    """A tenth of the budget is left for the evaluations in any case, and half of it at most."""
+    spent = [0.0]
+    budget = Budget(100.0, clock=lambda: spent[0])
+    budget.reserve(0.4)
+    assert budget.until(LAST_STAGE_END).seconds == pytest.approx(90.0)
+    budget.reserve(2.0)
+    assert budget.until(LAST_STAGE_END).seconds == pytest.approx(60.0)
+    assert budget.until(0.45).seconds == pytest.approx(30.0)
+    budget.reserve(50.0)
+    assert budget.until(LAST_STAGE_END).seconds == pytest.approx(50.0)
+    spent[0] = 51.0
+    assert not budget.has_time(LAST_STAGE_END)
+
+
+@pytest.mark.parametrize(("seconds", "part"), [(0.0, 1.0), (10.0, 0.25), (60.0, 0.5), (math.inf, 1.0)])
+def test_a_smaller_budget_fits_fewer_rows_of_a_long_session(seconds: float, part: float) -> None:
+    assert Budget(seconds).session_part == part

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from functools import partial
 
 import numpy as np
 import pytest
 
 from hframe_gym.dynamics import simulate
 from hframe_gym.identification import identify
-from hframe_gym.identification.budget import Budget, stage_ends
+from hframe_gym.identification.budget import DEFAULT_SECONDS, Budget, stage_ends
 from hframe_gym.preparation.dataset import Dataset
 from hframe_gym.preparation.excerpt import NORMAL_SESSION, describe_part, largest_share, representative_part
 from hframe_gym.preparation.session import prepare
@@ -98,10 +97,7 @@ def test_of_many_runs_those_that_differ_are_used_and_none_that_stands_still() ->
 
 
 def test_what_a_part_of_the_rows_shows_is_fitted_to_all_of_them(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        "hframe_gym.identification.search.checked_search.representative_part",
-        partial(representative_part, size=3000),
-    )
+    monkeypatch.setattr("hframe_gym.identification.search.checked_search.NORMAL_SESSION", 3000.0)
     runs, lines = limited_runs([3.0, 9.0, 3.0, 9.0, 9.0]), list[str]()
     result = identify(runs, AXIS, budget=math.inf, log=lines.append)
     assert any(line.startswith("effects are searched for in 3000 of 6000 rows, of 4 of 4") for line in lines)
@@ -110,11 +106,13 @@ def test_what_a_part_of_the_rows_shows_is_fitted_to_all_of_them(monkeypatch: pyt
     assert result.unfinished is None
 
     # Without time for that fit, what the part shows is the answer, and the report says so.
+    ends = stage_ends(AXIS, in_part=True)
+
     def spent() -> float:
-        return stage_ends(AXIS, in_part=True).all_rows if "fitting all rows" in lines else 0.0
+        return DEFAULT_SECONDS * ends.all_rows if "fitting all rows" in lines else 0.0
 
     lines.clear()
-    early = identify(runs, AXIS, budget=Budget(1.0, clock=spent), log=lines.append)
+    early = identify(runs, AXIS, budget=Budget(DEFAULT_SECONDS, clock=spent), log=lines.append)
     assert [s.effect.label for s in early.effects] == ["current_limit@motor"]
     assert early.unfinished is not None
     assert early.unfinished.stage == "fitting all rows"
@@ -125,10 +123,7 @@ def test_a_run_that_the_search_leaves_out_does_not_refute_what_it_found(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """In one run, the encoder counted the other way."""
-    monkeypatch.setattr(
-        "hframe_gym.identification.search.checked_search.representative_part",
-        partial(representative_part, size=2000),
-    )
+    monkeypatch.setattr("hframe_gym.identification.search.checked_search.NORMAL_SESSION", 2000.0)
     runs = limited_runs([3.0, 9.0, 3.0, 9.0, 9.0])
     runs[1] = dataclasses.replace(runs[1], outputs=2.0 * runs[1].outputs[0] - runs[1].outputs)
     result = identify(runs, AXIS, budget=math.inf)

@@ -20,7 +20,7 @@ import numpy as np
 from ...arrays import Array
 from ...machine import Machine
 from ...preparation.dataset import Dataset, PreparedRecording, RunObserver
-from ..budget import spend
+from ..budget import goes_on
 from ..judge.error import FitError
 from ..predict.free_parameters import FreeParameter, bounded_step, prior_precision, values_at
 from ..predict.linearization import DIFFERENCE_STEP, Linearization, ResidualModel, has_impacts
@@ -165,8 +165,9 @@ def _descend(
     """
     free, prior = model.free, prior_precision(model.free)
     information, cost = np.zeros((len(free), len(free))), math.inf
-    for _ in range(iterations):
-        spend()
+    for iteration in range(iterations):
+        if not goes_on() and iteration:  # the first one tells the cost
+            break
         expansion = model.linearize(theta)
         equations = expansion.normal_equations
         if not equations.finite:  # this machine diverges, or one with slightly different parameters

@@ -33,9 +33,10 @@ from ...arrays import Array
 from ...effects import EFFECTS
 from ...machine import AppliedEffect, Machine
 from ...preparation.dataset import Dataset, PreparedRecording
-from ...preparation.excerpt import representative_part
+from ...preparation.excerpt import NORMAL_SESSION, representative_part
 from ...preparation.motion_windows import MotionWindows, force_equations, leading_motions, motion_windows
 from ...recordings import bridge_blanks, comparison_window
+from ..budget import PLAIN_FIT_PART, Budget, goes_on
 from ..judge.error import is_better_start
 from ..predict.free_parameters import FreeParameter, default_free_parameters, typical_force, values_at
 from ..predict.prediction import SEARCH_BANDWIDTH, SIMULATION
@@ -74,10 +75,12 @@ class PlainFit:
             a direction.
         fits: Output-error fits: of inertia and friction, then each with one term more, a constant force, a weight or an
             input delay, as effects of its machine.
+        seconds: Processor time after which it ended before it was complete, s; None if it is complete.
     """
 
     start: Machine
     fits: tuple[Fit, ...]
+    seconds: float | None = None
 
     @property
     def simulated(self) -> Fit:
@@ -87,7 +90,9 @@ class PlainFit:
     @property
     def simpler(self) -> tuple[PlainFit, ...]:
         """The plain fits with fewer of the terms, without any first."""
-        return tuple(PlainFit(self.start, self.fits[:count]) for count in range(1, len(self.fits)))
+        return tuple(
+            PlainFit(self.start, self.fits[:count], self.seconds) for count in range(1, len(self.fits))
+        )
 
     @property
     def machine(self) -> Machine:
@@ -101,7 +106,7 @@ class PlainFit:
         return tuple(e.label for e in self.machine.effects if e.label not in declared)
 
 
-def plain_fit(machine: Machine, data: Dataset) -> PlainFit | None:
+def plain_fit(machine: Machine, data: Dataset, budget: Budget | None = None) -> PlainFit | None:
     """Fit inertia, viscous and dry friction, and where it helps a constant force, a weight and an input delay.
 
     Machines with belts are not refined in simulation: their rigid motion says nothing about belts.
@@ -109,11 +114,23 @@ def plain_fit(machine: Machine, data: Dataset) -> PlainFit | None:
     Args:
         machine: Machine as declared.
         data: Runs to fit.
+        budget: Budget of the identification. After the part of it for the plain fit, the fit ends with its best
+            parameters so far. Default: it is completed.
 
     Returns:
         The fit; None if the runs determine no motion, or no machine of this kind can be simulated over them.
     """
-    equal = representative_part(equally_weighted(data), machine)
+    budget = budget or Budget()
+    stage = budget.until(1.0, PLAIN_FIT_PART * budget.seconds) if budget.seconds > 0.0 else Budget()
+    equal = representative_part(equally_weighted(data), machine, size=budget.session_part * NORMAL_SESSION)
+    with stage.limiting(delivers=True):
+        fitted = _fitted(machine, data, equal)
+        complete = goes_on()
+    return fitted if complete or fitted is None else dataclasses.replace(fitted, seconds=stage.spent)
+
+
+def _fitted(machine: Machine, data: Dataset, equal: Dataset) -> PlainFit | None:
+    """Return the plain fit to equally weighted runs; None if there is none."""
     offsets: tuple[AppliedEffect, ...] = ()
     if not machine.shows_direction:
         points = _fits_from_points(machine, equal)
@@ -141,6 +158,8 @@ def plain_fit(machine: Machine, data: Dataset) -> PlainFit | None:
             start, free = best.machine, wide_parameters(best.machine)
     present, fits = {e.label for e in machine.effects}, [best]
     for effect in (e for e in _terms(start, offsets) if e.label not in present):
+        if not goes_on():
+            break
         terms = _term_parameters(effect, machine)
         trials = [
             fit(
@@ -177,15 +196,21 @@ def _fits_from_points(machine: Machine, data: Dataset) -> list[Fit]:
     ]
     costs = [prediction_cost(start.replace(values_at(free, theta)), data, SIMULATION) for theta in thetas]
     finite = [i for i in np.argsort(costs).tolist() if math.isfinite(costs[i])]
-    return [fit(start, free, data, SIMULATION, theta=thetas[i]) for i in finite[:_FITTED_POINTS]]
+    fits: list[Fit] = []
+    for i in finite[:_FITTED_POINTS]:
+        fits.append(fit(start, free, data, SIMULATION, theta=thetas[i]))
+        if not goes_on():
+            break
+    return fits
 
 
 def _output_error_fits(machine: Machine, free: Sequence[FreeParameter], data: Dataset) -> list[Fit]:
     """Fit in simulation from a machine, and from where an observer leads: a simulation has more local minima."""
-    guided = fit(machine, free, data, _GUIDING_BANDWIDTH)
-    return [
-        fit(machine, free, data, SIMULATION, theta=theta) for theta in (np.zeros(len(free)), guided.theta)
-    ]
+    fits = [fit(machine, free, data, SIMULATION)]
+    if goes_on():
+        guided = fit(machine, free, data, _GUIDING_BANDWIDTH)
+        fits.append(fit(machine, free, data, SIMULATION, theta=guided.theta))
+    return fits
 
 
 def _finite_cost(fitted: Fit) -> float:

@@ -33,6 +33,9 @@ _NOISE_ONLY = 1.2  # mean square error in units of the noise, above which other 
 # Random displacements from which the search is repeated: their number, standard deviation, and how many of them are
 # followed over the first motion, then over the complete run, where the error is a more rugged function of the start.
 _DRAWS, _DRAW_SPREAD, _FIRST_DESCENTS, _DESCENTS = 127, 1.5, 8, 3
+# Motion over which the minima of a long run are compared, rows and s, whichever is longer: two normal runs. Only the
+# best minimum is followed over the complete run, because a descent takes longer in proportion to it.
+_LONGEST_ROWS, _LONGEST_MOTION = 10_000, 10.0
 _FIRST_MOTION = 0.3  # s after the rows at rest; several periods of the belts' vibration
 
 # Function from displacements of a start in units of their standard deviations, shape (B, displacements), to simulation
@@ -188,6 +191,7 @@ def most_probable_start(
     Friction makes the sum of squares a function with many minima: the held stretch of a belt is released in one and not
     in another. If the minimum next to the measured state leaves more than noise, 127 random states (fixed seed) are
     compared over the first motion, where minima are fewer, and the best of them are followed over the complete run.
+    In a long run, the first 10 s of motion, at least 10,000 rows, decide which of them is followed to its end.
 
     Args:
         machine: Machine to simulate. Its effects may have states that remember earlier motion, such as hysteresis.
@@ -214,17 +218,23 @@ def most_probable_start(
     def errors_over(rows: int) -> _Errors:
         return lambda amounts: errors(state + amounts @ displacements, rows)
 
-    complete = errors_over(len(time_s))
-    minima = [_descend(complete, np.zeros(count))]
+    rest = initial.resting_rows
+    longest = int(np.searchsorted(time_s, time_s[rest - 1] + _LONGEST_MOTION, "right"))
+    compared = min(max(longest, rest + _LONGEST_ROWS), len(time_s))
+    beginning = errors_over(compared)
+    minima = [_descend(beginning, np.zeros(count))]
     if minima[0].mean_square > _NOISE_ONLY:
-        end = time_s[initial.resting_rows - 1] + _FIRST_MOTION
+        end = time_s[rest - 1] + _FIRST_MOTION
         first_motion = errors_over(int(np.searchsorted(time_s, end, "right")))
         draws = _DRAW_SPREAD * np.random.default_rng(0).normal(size=(_DRAWS, count))
         best = _most_probable_first(_evaluate(first_motion, np.vstack([minima[0].amounts, draws])))
         followed = [_descend(first_motion, minimum.amounts).amounts for minimum in best[:_FIRST_DESCENTS]]
-        best = _most_probable_first(_evaluate(complete, np.array(followed)))
-        minima += [_descend(complete, minimum.amounts) for minimum in best[:_DESCENTS]]
-    return np.asarray(state + _most_probable_first(minima)[0].amounts @ displacements)
+        best = _most_probable_first(_evaluate(beginning, np.array(followed)))
+        minima += [_descend(beginning, minimum.amounts) for minimum in best[:_DESCENTS]]
+    probable = _most_probable_first(minima)[0]
+    if compared < len(time_s):
+        probable = _descend(errors_over(len(time_s)), probable.amounts)
+    return np.asarray(state + probable.amounts @ displacements)
 
 
 class _Minimum(NamedTuple):

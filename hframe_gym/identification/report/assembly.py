@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from ...machine import Machine
 from ...preparation.dataset import Dataset
-from ...preparation.excerpt import representative_part
+from ...preparation.excerpt import NORMAL_SESSION, representative_part
 from ..budget import Budget
 from ..evidence.held_out import error_reduction, held_out_gain, is_excited
 from ..evidence.tried_effects import ConsideredEffect, SelectedEffect
@@ -51,7 +51,8 @@ def build_result(
         design_discriminating_experiment(after, corrected, s.effect.label, s.rival_effects, refined)
         for s in selected
     )
-    validation, part = evaluated.validation, representative_part(data, before.machine)
+    validation = evaluated.validation
+    part = representative_part(data, before.machine, size=budget.session_part * NORMAL_SESSION)
     drives = drive_force(corrected, data)
     unfinished = (
         Unfinished(outcome.unfinished, budget.reason, budget.interrupted) if outcome.unfinished else None

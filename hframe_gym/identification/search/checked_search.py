@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from ...machine import Machine
 from ...preparation.dataset import Dataset, with_known_positions
-from ...preparation.excerpt import LARGEST_FIT, describe_part, representative_part
+from ...preparation.excerpt import LARGEST_FIT, NORMAL_SESSION, describe_part, representative_part
 from ..budget import SECOND_SEARCH_PART, Budget, stage_ends
 from ..evidence.held_out import contradicting_held_out_runs, held_out_gain, is_excited, worsens_simulation
 from ..evidence.tried_effects import Log
@@ -52,6 +52,10 @@ _HINT = (
 _BETWEEN_ROWS = (
     "In this log, {}. They are interpolated; what the controller did between the rows beyond that adds up to an error "
     "of every simulation. Log at the rate of the controller{}. `hframe simulate` interpolates them with --updates {}."
+)
+_PLAIN_ENDED = (
+    "The plain fit ended after {:.0f} s of processor time, its part of the budget, with its best parameters so far. A "
+    "larger --budget completes it."
 )
 
 
@@ -157,11 +161,11 @@ def _search_and_check(
     data, unused = with_known_positions(all_runs.with_runs(fitted_names))
     names = ", ".join(run.name for run in held_out.runs)
     log(f"fitting {machine.name} to {len(data.runs)} runs, {len(held_out.runs)} held out ({names})")
-    all_rows, data = data, representative_part(data, machine)
+    all_rows, data = data, representative_part(data, machine, size=budget.session_part * NORMAL_SESSION)
     in_part = data is not all_rows
     if in_part:
         log(f"effects are searched for in {describe_part(data, all_rows)}")
-        all_rows = representative_part(all_rows, machine, size=LARGEST_FIT)
+        all_rows = representative_part(all_rows, machine, size=budget.session_part * LARGEST_FIT)
     logged = {run.name: run.inputs for run in data.runs}
     data, held_out = with_lost_voltages(machine, data, held_out, log)
     refitted = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
@@ -190,7 +194,12 @@ def _search_and_check(
         # The errors of voltages between all rows of a long log would need too much memory.
         complete = all_rows if in_part and updates.per_row == 1 else None
         # Voltages that are estimated by a machine would make its parameters part of the plain fit.
-        plain = plain_fit(machine, fitted.with_inputs(logged) if complete is None else complete)
+        plain = plain_fit(machine, fitted.with_inputs(logged) if complete is None else complete, budget)
+        if plain is not None and plain.seconds is not None:
+            messages = (*messages, _PLAIN_ENDED.format(plain.seconds))
+            log(
+                f"  the plain fit ended after {plain.seconds:.0f} s of processor time, its part of the budget"
+            )
         try:
             found = search(fitted, validation, complete, plain)._replace(messages=messages)
             return found if different is None else found.without_run(different)

@@ -150,13 +150,14 @@ class ModelSearch:
             return self._outcome(found.verdict, complete)
         return self._partial(complete)
 
-    def finished_early(self, tests: Budget) -> SearchOutcome:
+    def finished_early(self, tests: Budget, last_fit: Budget) -> SearchOutcome:
         """Return the outcome of what was selected when the budget ended, after the same tests beside each other.
 
         The tests include the fits in simulation by which effects that leave an error are judged.
 
         Args:
             tests: What is left of the budget for these tests.
+            last_fit: What is left of it for the last fit without effects, where these do not end.
         """
         search = self._searches[-1] if self._searches else None
         after, effects = (search and search.reached) or (self.before, ())
@@ -176,7 +177,8 @@ class ModelSearch:
                 untested = self._removed(after, others, "was not tested before the budget ended")
                 self._data_after = self._data
         rejected = (*untested, *(search.considered.values() if search else ()))
-        return self._early(Found(self.before, (), rejected))
+        with last_fit.limiting(delivers=True):
+            return self._early(Found(self.before, (), rejected))
 
     def _early(self, found: Found) -> SearchOutcome:
         """Return the outcome of tested effects when no time is left for others or for tables."""

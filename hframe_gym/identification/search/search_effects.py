@@ -77,11 +77,13 @@ def search_effects(
     except BudgetEndedError:
         log(f"  {budget.reason} ({budget.doing}); what was found so far is tested")
     tests = budget.until(ends.tests)
+    # Without time for a search, the refit is nevertheless completed.
+    last_fit = budget.until(ends.last_fit) if budget.seconds > 0.0 else Budget()
     for search in reversed(searches[1:]):
-        outcome = search.finished_early(tests)
+        outcome = search.finished_early(tests, last_fit)
         if outcome.explained:  # a run is only left out if one machine explains the others
             return outcome._replace(unfinished=budget.doing)
-    return searches[0].finished_early(tests)._replace(unfinished=budget.doing)
+    return searches[0].finished_early(tests, last_fit)._replace(unfinished=budget.doing)
 
 
 def _search_with_suspect(

@@ -88,17 +88,29 @@ class HeldOutTest:
         """Held-out runs with the measurements at the ends of sensors' ranges too, which a fit leaves out."""
         return with_all_measurements(self.held_out, self.session.usable)
 
-    def errors(self, machine: Machine, fitted: Dataset) -> ModelEvaluation:
+    @cached_property
+    def _known(self) -> list[tuple[Machine, Dataset, str, ModelEvaluation]]:
+        """Machines with their fitted runs, names and errors: an evaluation takes seconds."""
+        return []
+
+    def errors(self, machine: Machine, fitted: Dataset, name: str = "") -> ModelEvaluation:
         """Simulate a machine over the held-out runs.
 
         Args:
             machine: Any machine with these drives and sensors.
             fitted: Runs that it was fitted to.
+            name: Name of the machine in the result. Default: its own.
 
         Returns:
             The machine with its errors, see `evaluate_held_out`.
         """
-        return evaluate_held_out(machine, fitted, self.validation, self.session.recordings, self.criteria)
+        for known, of_fit, known_name, errors in self._known:
+            if known is machine and of_fit is fitted and known_name == name:
+                return errors
+        named = machine.replace(name=name) if name else machine
+        errors = evaluate_held_out(named, fitted, self.validation, self.session.recordings, self.criteria)
+        self._known.append((machine, fitted, name, errors))
+        return errors
 
     def evaluate(self, outcome: SearchOutcome) -> Evaluated:
         """Simulate the declared, the refitted and the corrected machine over the held-out runs.
@@ -112,10 +124,10 @@ class HeldOutTest:
             outcome.selected,
             self.session.ranges,
         )
-        refitted = outcome.before.machine.replace(name=f"{self.session.machine.name}-refitted")
-        declared, before, after = (
-            self.errors(machine, outcome.data) for machine in (self.session.machine, refitted, corrected)
-        )
+        name = f"{self.session.machine.name}-refitted"
+        declared = self.errors(self.session.machine, outcome.data)
+        before = self.errors(outcome.before.machine, outcome.data, name)
+        after = self.errors(corrected, outcome.data)
         validation = refine_dataset(self.validation, after.machine, outcome.data)
         return Evaluated(outcome, selected, declared, before, after, refined, validation, self)
 

@@ -130,7 +130,8 @@ def _compared(
             return result, *described
     ratio = error_ratio(evaluated.after, reference)
     if outcome.selected and ratio > 1.0:  # their parameters were fitted to short predictions
-        after = refined_equally(outcome.after, outcome.data)
+        with budget.limiting(LAST_STAGE_END, delivers=True):
+            after = refined_equally(outcome.after, outcome.data)
         selected = tuple(s.with_values(after.machine) for s in outcome.selected)
         found = outcome._replace(after=after, selected=selected)
         again = test.evaluate(with_certain_effects(found, test.criteria, log))
@@ -195,7 +196,8 @@ def _described(
     left = evaluated.after.held_out.noise_ratio
     if not needs_description(outcome.verdict, len(outcome.selected), left, test.criteria):
         return None
-    refit = refined_equally(outcome.before, outcome.data)
+    with budget.limiting(LAST_STAGE_END, delivers=True):
+        refit = refined_equally(outcome.before, outcome.data)
     equal = equally_weighted(outcome.data)
     start = min(
         (plain.simulated, refit), key=lambda fitted: prediction_cost(fitted.machine, equal, SIMULATION)
@@ -266,4 +268,6 @@ def descriptions(
         if len(found) == len(selected):
             return
         selected, equal = found, search.data
-        yield refined_equally(current, equal), tuple(s.effect.label for s in selected)
+        with budget.limiting(LAST_STAGE_END, delivers=True):
+            refined = refined_equally(current, equal)
+        yield refined, tuple(s.effect.label for s in selected)
