@@ -68,9 +68,9 @@ class Sometimes(Distribution):
 
     @override
     def quantile(self, u: Array) -> Array:
-        """Compute quantiles: in ascending order, the log-uniform numbers and the constant.
+        """Compute quantiles: of the log-uniform numbers and the constant, which comes last if it is at least `high`.
 
-        With `signed`, negative log-uniform numbers, 0 and positive ones.
+        With `signed`, they pass through negative log-uniform numbers, 0 and positive ones.
         """
         size = LogUniform(self.low, self.high)
         below = self.probability if self.otherwise >= self.high else 0.5 * self.probability * self.signed

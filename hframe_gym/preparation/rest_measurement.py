@@ -275,7 +275,10 @@ def _zeros_by_command(recording: Recording, machine: Machine, resting_rows: int)
 def _position_matrix(
     machine: Machine, zeros: EncoderZeros, usable: NDArray[np.bool_], *, moving: bool
 ) -> Array:
-    """Return the matrix (coordinates, sensors) that gives positions from measurements minus zeros of usable sensors."""
+    """Return the matrix (coordinates, sensors) that gives positions from usable measurements, by least squares.
+
+    In a run that begins in motion, the drives stretch the belts.
+    """
     stretched = zeros.resolves_stretch | moving
     encoders = np.where(zeros.known, np.where(stretched, _STRETCHED_WEIGHT, 1.0), _FALLBACK_WEIGHT)
     weight = np.where([s.fixed for s in machine.sensors], 1.0, encoders)

@@ -261,11 +261,12 @@ def _interpolated(run: PreparedRecording, rows: Rows, lengths: Rows, held: bool)
 def _interpolated_drive(
     time_s: Array, recorded: Array, rows: Rows, length: int, held: bool
 ) -> tuple[Array, Array]:
-    """Return interpolated voltages in gaps of `length` rows, and the standard deviations of their errors, V, (r,) each.
+    """Return expected voltages in gaps of `length` rows, and the standard deviations of their errors, V, (r,) each.
 
-    Recorded rows are predicted like the middle of a gap. The square of the error is a constant plus a multiple of the
-    squared change of the voltage across the gap: where a stepping voltage is equal on both sides, it hardly errs. If
-    fewer than ten rows can be predicted where the voltage changes, the deviation is the change across the gap.
+    Expected are the last recorded values if they are held, else interpolated ones. Recorded rows are predicted like the
+    middle of a gap. The square of the error is a constant plus a multiple of the squared change of the voltage across
+    the gap: where a stepping voltage is equal on both sides, it hardly errs. If fewer than ten rows can be predicted
+    where the voltage changes, the deviation is the change across the gap.
     """
     distance = (length + 2) // 2  # of the middle of a gap from its ends, in rows
     # Rows before and after each row: the nearest that are known, and those at twice their distance.
