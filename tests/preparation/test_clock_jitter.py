@@ -30,27 +30,6 @@ def test_a_vibration_is_no_clock_jitter() -> None:
     assert clock_jitter([time_s], [channel], 0.15e-3) == 0.0
 
 
-@pytest.mark.parametrize("jitter", [0.0, 20e-6])
-@pytest.mark.parametrize(
-    "rows_per_step", [1, 5, 0.2], ids=["every row", "every fifth row", "between the rows"]
-)
-def test_voltage_steps_of_a_light_motor_are_no_clock_jitter(rows_per_step: float, jitter: float) -> None:
-    """Steps of some volts accelerate a light motor by some 1000 rad/s^2, and a fine encoder resolves the bend."""
-    rng, fine_s, quantum = np.random.default_rng(3), 0.2e-3, 2.0 * np.pi / 100_000
-    rows_per_fine = 5  # 1 kHz
-    held = round(rows_per_step * rows_per_fine)
-    time_s = np.arange(3000 * rows_per_fine) * fine_s
-    steps = np.repeat(rng.uniform(-2500.0, 2500.0, len(time_s) // held), held)
-    acceleration = steps + 2000.0 * np.sin(5.0 * time_s)
-    speed = np.cumsum(np.append(-400.0, acceleration * fine_s))[:-1]  # between about -400 and 400 rad/s
-    angle = np.cumsum(np.append(0.0, speed * fine_s + 0.5 * acceleration * fine_s**2))[:-1]
-    rows = slice(None, None, rows_per_fine)
-    late = angle[rows] + speed[rows] * jitter * rng.standard_normal(len(time_s[rows]))
-    measured = np.rint(late / quantum) * quantum
-    found = clock_jitter([time_s[rows]], [measured], quantum / np.sqrt(12))
-    assert found == (pytest.approx(jitter, rel=0.2) if jitter else 0.0)
-
-
 def test_a_jitter_of_more_than_half_a_period_is_none() -> None:
     """A sensor that keeps each value for four rows deviates from a smooth motion by several periods times the speed."""
     time_s = np.arange(2000) * 1e-3
