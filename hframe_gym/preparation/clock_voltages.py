@@ -91,7 +91,8 @@ def clock_voltages(time_s: Array, inputs: Array, outputs: Array) -> ClockVoltage
 def with_clock_voltages(inputs: Array, voltages: ClockVoltages, time_s: Array, updates: int) -> Array:
     """Return voltages of rows that, interpolated between the rows, are those of a controller whose clock jitters.
 
-    They lack the answers to the jitter of the rows. Of n changes a row, each adds its impulse.
+    They lack the answers to the jitter of the rows. Of n changes a row, each adds its impulse. Where the answers are
+    not known, interpolation by the stamps of the rows already contains 1 / n of one impulse.
 
     Args:
         inputs: Voltages in the rows, V, shape (..., n, drives).
@@ -104,7 +105,10 @@ def with_clock_voltages(inputs: Array, voltages: ClockVoltages, time_s: Array, u
     """
     if updates == 1:
         return inputs
-    means = voltages.impulses * (updates / float(np.median(np.diff(time_s))))
+    missing = updates - np.where(
+        voltages.answers.any(axis=0), 0.0, 1.0 / updates
+    )  # impulses a row, shape (drives,)
+    means = voltages.impulses * (missing / float(np.median(np.diff(time_s))))
     return np.asarray(inputs - voltages.answers + means)
 
 

@@ -89,6 +89,9 @@ def test_a_clock_that_wanders_shows_no_answers_of_rows() -> None:
     clock = clock_voltages(stamps + late, inputs, angles)
     assert clock.impulses.any()
     assert not clock.answers.any()
+    # The rows keep their answers, and with them the 1 / 4 of an impulse that interpolation then contains.
+    added = with_clock_voltages(inputs, clock, stamps + late, 4) - inputs
+    np.testing.assert_allclose(added, 3.75 * clock.impulses / np.median(np.diff(stamps + late)))
 
 
 def test_a_log_with_all_voltages_or_few_rows_stays_as_it_is() -> None:
