@@ -20,7 +20,7 @@ from ...files import complete_commit, newest, read_arrays, read_document
 from ...machine import Machine
 from ...operating_system import quoted
 from ...recordings import load_machine
-from .document import STAGES, Report
+from .document import STAGES, ChannelErrors, Report
 from .formulas import ProposedFormula, mean_error, propose_formulas, tables_of
 
 
@@ -62,7 +62,10 @@ def load_result(folder: Path) -> SavedResult:
         report = Report.model_validate_json(text).model_dump(by_alias=True)
     except ValidationError as error:
         first = error.errors()[0]
-        field = ".".join(map(str, first["loc"])) or "is not valid"
+        # Where a field may be of two kinds, pydantic names the one that it tried.
+        field = (
+            ".".join(str(part) for part in first["loc"] if part != ChannelErrors.__name__) or "is not valid"
+        )
         raise _damaged(folder / "report.json", f"{field}: {first['msg']}") from None
     for name in ("machine.json", "declared.json"):
         if not newest(folder / name).is_file():

@@ -104,6 +104,25 @@ def test_a_start_behind_another_minimum_of_the_error_is_found(hframe: Machine) -
     np.testing.assert_allclose(start, expected, atol=0.1 * np.abs(displacements).max())
 
 
+def test_the_start_of_a_long_run_follows_from_all_of_it(hframe: Machine) -> None:
+    """The first 10 s have their minimum at the measured start, the 10 s after them one deviation away."""
+    run = prepare([moving_run(hframe, rest_state(hframe))], hframe).runs[0]
+    (displacements,) = start_displacements(hframe, [run.initial])
+    state, time_s = run.initial_state(hframe), np.arange(20_000) * 1e-3
+    simulated: list[int] = []
+
+    def errors(states: np.ndarray, rows: int) -> np.ndarray:
+        simulated.append(rows)
+        amounts = np.linalg.lstsq(displacements.T, (states - state).T, rcond=None)[0]
+        later = np.arange(rows) >= 0.55 * len(time_s)
+        return amounts[0][:, None] - np.where(later, 1.0, 0.0)
+
+    start = most_probable_start(hframe, run.initial, state, errors, time_s)
+    amount = np.linalg.lstsq(displacements.T, start - state, rcond=None)[0][0]
+    assert amount == pytest.approx(0.45, abs=1e-3)  # of all rows, with a prior of one row
+    assert simulated.count(len(time_s)) < len(simulated)
+
+
 def test_starts_that_explain_the_error_are_adopted(hframe: Machine) -> None:
     """Three runs that began with different stretches; their encoders were switched on anew."""
     recordings = []
