@@ -42,7 +42,7 @@ def chance_gain(variance: LongRunVariance, criteria: SelectionCriteria) -> float
 
 
 def chance_deviations(criteria: SelectionCriteria) -> float:
-    """Return how many standard deviations from 0 (dimensionless) an estimate of 0 hardly ever lies.
+    """Return how many standard deviations (dimensionless) the estimate of a parameter that is 0 hardly ever reaches.
 
     Args:
         criteria: Decision threshold `chance`.

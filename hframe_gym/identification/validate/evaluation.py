@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
 
@@ -82,16 +82,15 @@ class HeldOutTest:
     session: Session
     held_out: Dataset
     criteria: SelectionCriteria
+    # Machines with their fitted runs, names and errors; an evaluation takes seconds.
+    _known: list[tuple[Machine, Dataset, str, ModelEvaluation]] = field(
+        default_factory=list, init=False, repr=False
+    )
 
     @cached_property
     def validation(self) -> Dataset:
         """Held-out runs with the measurements at the ends of sensors' ranges too, which a fit leaves out."""
         return with_all_measurements(self.held_out, self.session.usable)
-
-    @cached_property
-    def _known(self) -> list[tuple[Machine, Dataset, str, ModelEvaluation]]:
-        """Machines with their fitted runs, names and errors: an evaluation takes seconds."""
-        return []
 
     def errors(self, machine: Machine, fitted: Dataset, name: str = "") -> ModelEvaluation:
         """Simulate a machine over the held-out runs.
