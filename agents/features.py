@@ -328,7 +328,7 @@ class TransferBank:
             goal: Tool positions of the goals, m, shape (batch, axes).
 
         Returns:
-            Voltages and their derivatives, shape (batch, K, ...).
+            K laws per observation, in units of the rated voltages.
         """
         travel = self._model.axis_travel(goal)
         gains = self._gains[self._grid.nearest(travel)] @ self._of_observation
@@ -369,7 +369,7 @@ class PlanBank:
             last_action: Voltages of the period before, divided by the rated voltages, shape (batch, drives).
 
         Returns:
-            Voltages and their derivatives, shape (batch, K, ...).
+            K laws per observation, in units of the rated voltages.
         """
         rated = self._model.rated
         planned = self._transfers.plan(

@@ -51,7 +51,7 @@ class CheckStage(Stage):
 
     @override
     def missing(self) -> tuple[str, str] | None:
-        """Return that runs must come first."""
+        """Ask for runs first."""
         return None if self.session.runs else ("logs", "There are no runs yet.")
 
     @override

@@ -36,7 +36,7 @@ class ExportStage(Stage):
 
     @override
     def missing(self) -> tuple[str, str] | None:
-        """Return that a machine must come first."""
+        """Ask for a machine first."""
         return None if self.session.machine is not None else ("machine", "There is no machine yet.")
 
     @override

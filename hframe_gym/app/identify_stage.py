@@ -44,7 +44,7 @@ class IdentifyStage(Stage):
 
     @override
     def missing(self) -> tuple[str, str] | None:
-        """Return that runs must come first."""
+        """Ask for runs first."""
         if len(self.session.runs) < 2:
             return "logs", "Identification needs at least two runs, because one is held out."
         return None

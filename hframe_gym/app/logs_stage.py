@@ -70,7 +70,7 @@ class LogsStage(Stage):
 
     @override
     def missing(self) -> tuple[str, str] | None:
-        """Return that a machine must come first."""
+        """Ask for a machine first."""
         if self.session.machine is None:
             return "machine", "Logs are read for a machine: its channels say what the columns can be."
         return None

@@ -34,7 +34,7 @@ class ResultsStage(Stage):
 
     @override
     def missing(self) -> tuple[str, str] | None:
-        """Return that an identification must come first."""
+        """Ask for an identification first."""
         if self._report() is None:
             return "identify", "There is no result yet."
         return None

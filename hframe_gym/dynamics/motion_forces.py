@@ -34,7 +34,8 @@ def belt_states(
         velocities: Velocities, m/s or rad/s, of the same shape. Default: at rest.
 
     Returns:
-        One `BeltState` of arrays of shape (...) per belt; k and e are floats for a belt of constant stiffness.
+        One `BeltState` of arrays of shape (...) per belt; `stiffness` and `stiffness_force` are floats for a belt of
+        constant stiffness.
     """
     equations = Equations(machine)
     return equations.belt_states(equations.point(positions, velocities))

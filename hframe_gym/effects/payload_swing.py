@@ -56,7 +56,7 @@ def structure(machine: Machine, effect: AppliedEffect) -> Machine:
 
 
 def rigid(machine: Machine, effect: AppliedEffect) -> Machine:
-    """Return the mass of the load to the carriage."""
+    """Return the machine without the pendulum: the carriage again carries the mass of the load."""
     carriage = machine.coordinate(effect.site)
     return machine.replace({f"{carriage.name}.mass": carriage.mass * (1.0 + effect.parameters["r"])})
 

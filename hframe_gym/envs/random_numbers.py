@@ -235,10 +235,10 @@ class CorrelatedSampler:
     def deviations(self, uniforms: Array) -> Array:
         """Convert uniform random numbers to deviations of k parameters from their nominal values, SI, shape (n, k).
 
-        A parameter can still exceed its limits if it depends on several of the numbers z.
+        A parameter that depends on several of the random numbers can still exceed its limits.
 
         Args:
-            uniforms: Independent random numbers in (0, 1), shape (n, k) for n samples.
+            uniforms: Independent random numbers, uniform in (0, 1), shape (n, k) for n samples.
         """
         probabilities = self._lowest + uniforms * (self._highest - self._lowest)
         normals = np.clip(ndtri(probabilities), -_LARGEST_NORMAL, _LARGEST_NORMAL)

@@ -224,9 +224,9 @@ def as_reward(reward: RewardLike, band: float, axes: int = 2, unit: AxisUnit = M
     """Convert the environment option `reward` to a reward function.
 
     Args:
-        reward: The reward, in one of three forms:
-        band: Distance to the goal that counts as a success, m. The object that is registered under a name is called
-            with it, as `object(band)`, and returns the function. A function that is given directly does not receive it.
+        reward: Registered name ("dense", "sparse", ...), `package.module:name`, or a reward function as it is returned.
+        band: Distance to the goal that counts as a success, m. What is registered under a name is called with it and
+            returns the reward function; a function that is given directly does not receive it.
         axes: Number of axes of the tool, for a test call of the function.
         unit: Unit of positions and of the band; the lengths of built-in rewards hold for angles at the end of an arm.
 

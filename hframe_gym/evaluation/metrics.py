@@ -132,7 +132,8 @@ def track_metrics(episodes: Episodes, bound_s: Array | None, seed: int) -> dict[
         seed: Seed of the bootstrap resampling that gives confidence intervals.
 
     Returns:
-        `success`: fraction of episodes whose contour error never exceeds 1, 0.2 or 0.05 mm, 0 to 1, by this limit.
+        `success`: for each of the limits 1, 0.2 and 0.05 mm the fraction, 0 to 1, of episodes whose contour error never
+        exceeds it.
         `contour_mm`, `tracking_mm`: `rms` and `max` of the error in an episode, mm. `delay_ms`: delay of the tool, ms.
         Each has the `mean` over the episodes and `ci95`, its 95 % confidence interval. Rotary axes have mrad for mm.
 

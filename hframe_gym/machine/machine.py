@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..arrays import Array
+from ..errors import InputError, suggestion
 from .axis_unit import DEFAULT_TURNS, METERS, RADIANS, AxisUnit
 from .components import Belt, Coordinate, Drive, Row, Sensor
 from .declaration import FIXED_UNITS, UNITS, Component, Variant
@@ -120,20 +121,29 @@ class Machine:
         )
 
     def coordinate(self, name: str) -> Coordinate:
-        """Return the coordinate with a name; a ValueError lists the names if there is none."""
-        return self.coordinates[self.coordinate_names.index(name)]
+        """Return the coordinate with a name; an InputError lists the names if there is none."""
+        return self.coordinates[self._index("coordinate", name, self.coordinate_names)]
 
     def belt(self, name: str) -> Belt:
-        """Return the belt with a name; a ValueError lists the names if there is none."""
-        return self.belts[[b.name for b in self.belts].index(name)]
+        """Return the belt with a name; an InputError lists the names if there is none."""
+        return self.belts[self._index("belt", name, [b.name for b in self.belts])]
 
     def drive(self, name: str) -> Drive:
-        """Return the drive with a name; a ValueError lists the names if there is none."""
-        return self.drives[[d.name for d in self.drives].index(name)]
+        """Return the drive with a name; an InputError lists the names if there is none."""
+        return self.drives[self._index("drive", name, [d.name for d in self.drives])]
 
     def sensor(self, channel: str) -> Sensor:
-        """Return the sensor of a channel, for example "x_m"; a ValueError lists the channels if there is none."""
-        return self.sensors[self.output_channels.index(channel)]
+        """Return the sensor of a channel, for example "x_m"; an InputError lists the channels if there is none."""
+        return self.sensors[self._index("sensor", channel, self.output_channels)]
+
+    def _index(self, kind: str, name: str, names: Sequence[str]) -> int:
+        """Return the index of a component of a kind; an InputError lists the names if there is none."""
+        if name not in names:
+            choices = f"choose one of {', '.join(names)}" if names else f"it has no {kind}s"
+            raise InputError(
+                f"machine {self.name!r} has no {kind} {name!r}; {choices}{suggestion(name, names)}"
+            )
+        return names.index(name)
 
     def coefficients(self, row: Row) -> Array:
         """Convert the coefficients of a belt or sensor from a dictionary to an array over all coordinates.
@@ -141,7 +151,7 @@ class Machine:
         Coordinates that the row does not name get zero; keys that are products ("y*yaw") are ignored.
 
         Returns:
-            Extension per belt travel, m/m, or reading per unit of a coordinate, SI, shape (coordinates,).
+            Extension per belt travel, m/m, or measurement per unit of a coordinate, SI, shape (coordinates,).
         """
         return np.array([row.get(name, 0.0) for name in self.coordinate_names])
 

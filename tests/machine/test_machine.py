@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from hframe_gym.effects import EFFECTS
+from hframe_gym.errors import InputError
 from hframe_gym.machine import (
     BUILTIN_MACHINES,
     SENSOR_KINDS,
@@ -36,6 +37,27 @@ def test_device_parameters_list_sensors_and_converters_with_their_units(hframe: 
     assert units["x_m.resolution"] == "m"
     assert units["motor2.converter_bits"] == "1"
     assert units["motor2.voltage_range"] == "V"
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "message"),
+    [
+        ("coordinate", "phi", "no coordinate 'phi'; choose one of x, y, phi1, phi2; did you mean 'phi2'"),
+        ("belt", "top", "no belt 'top'; choose one of left, right"),
+        ("drive", "motor", "no drive 'motor'; choose one of motor1, motor2; did you mean 'motor2'"),
+        ("sensor", "x", "no sensor 'x'; choose one of phi1_rad, phi2_rad, x_m, y_m"),
+    ],
+)
+def test_an_unknown_component_is_refused_with_the_names_of_the_others(
+    hframe: Machine, kind: str, name: str, message: str
+) -> None:
+    with pytest.raises(InputError, match=message):
+        getattr(hframe, kind)(name)
+
+
+def test_a_machine_without_belts_says_so() -> None:
+    with pytest.raises(InputError, match=r"no belt 'left'; it has no belts$"):
+        BUILTIN_MACHINES["axis"]().belt("left")
 
 
 def test_replace_changes_device_parameters_by_name(hframe: Machine) -> None:

@@ -1,8 +1,8 @@
 """Judge an effect: whether it exists, given that it reduces the error of the fitted runs.
 
 The best of some hundred candidates reduces any error somewhat. An effect is therefore doubted unless other runs confirm
-it, the machine with it stays physical, chance does not explain the reduction, its force exceeds the one that remains
-unexplained, and it is no correction to the formula of another effect.
+it, the machine with it stays physical, neither chance nor another course of the voltages between the rows explains the
+reduction, its force exceeds the one that remains unexplained, and it is no correction to the formula of another effect.
 """
 
 from __future__ import annotations
@@ -162,9 +162,9 @@ class EffectEvidence:
 def doubt_about_candidate(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
     """Return why an effect that the search just added may not exist; "" if nothing speaks against it.
 
-    Two of the five tests need a machine that nearly explains the data without the effect: while other effects are
-    missing, a fit without one run says little about the machine, and what they leave is correlated in time.
-    `doubt_beside_others` repeats these tests.
+    The statistical tests (confirmation by other runs, chance, interpolation of the voltages) need a machine that nearly
+    explains the data without the effect: while other effects are missing, a fit without one run says little about the
+    machine, and what they leave is correlated in time. `doubt_beside_others` repeats them for every effect.
 
     Args:
         evidence: What the fitted runs say.
@@ -176,8 +176,9 @@ def doubt_about_candidate(evidence: EffectEvidence, criteria: SelectionCriteria)
 def doubt_beside_others(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
     """Return why an effect may not exist beside all other effects; "" if nothing speaks against it.
 
-    It must reduce the error by enough, and pass all five tests. No parameter may end at a limit that is no meaningful
-    value: the recordings then ask for a value that the effect cannot have, and another effect imitates it.
+    It must reduce the error by enough, and pass all tests of `doubt_about_candidate`. No parameter may end at a limit
+    that is no meaningful value: the recordings then ask for a value that the effect cannot have, and another effect
+    imitates it.
 
     Args:
         evidence: What the fitted runs say.
@@ -201,7 +202,7 @@ def _doubt(evidence: EffectEvidence, criteria: SelectionCriteria, *, statistical
 
 
 def _by_interpolation(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
-    """Return that other voltages between the rows reduce the error nearly as much as an effect; "" if they do not."""
+    """Return the doubt that other voltages between the rows reduce the error nearly as much; "" if they do not."""
     if evidence.interpolation is None:
         return ""
     if evidence.gain > criteria.min_gain_over_interpolation * evidence.interpolation():
@@ -218,7 +219,7 @@ def _is_confirmed(gain: float, confirmed: float, criteria: SelectionCriteria) ->
 
 
 def unconfirmed(gain: float, confirmed: float, criteria: SelectionCriteria) -> str:
-    """Return that an effect describes single runs rather than the machine, "" if other runs confirm it.
+    """Return the doubt that an effect describes single runs rather than the machine; "" if other runs confirm it.
 
     Args:
         gain: Reduction of the cost in the runs to which the effect was fitted, dimensionless.
@@ -246,7 +247,7 @@ def fault_of_machine(behavior: MachineBehavior) -> str:
 
 
 def _by_chance(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
-    """Return that chance may explain the gain because the remaining error is correlated, "" if it cannot.
+    """Return the doubt that chance explains the gain, as the remaining error is correlated; "" if it cannot.
 
     In doubt, the gain with the next narrower observer decides: an observer hides slow errors, and with them what an
     effect explains, whereas model error imitates an effect the less, the longer it adds up.
@@ -259,7 +260,7 @@ def _by_chance(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
 
 
 def _too_small(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
-    """Return that an effect is smaller than what remains unexplained, or negligible beside the drives, else ""."""
+    """Return the doubt about an effect smaller than what stays unexplained or negligible beside the drives, else ""."""
     forces, drives = evidence.forces(), evidence.drives()
     if forces.effect < criteria.min_drive_force_ratio * drives and not evidence.forceless:
         return f"has a force of {forces.effect:.2g} N, {forces.effect / drives:.1g} of that of the drives"
@@ -276,7 +277,7 @@ def _too_small(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
 
 
 def _form_error(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
-    """Return that an effect may be an error in the form of one of another family, "" if nothing speaks for that."""
+    """Return the doubt that an effect corrects the form of one of another family; "" if nothing speaks for that."""
     # What an inexact form leaves has no simple formula itself. An effect that removes nearly all of an error of several
     # times the noise is therefore no correction of another effect's form.
     before, after = evidence.without, evidence.with_effect
@@ -290,7 +291,7 @@ def _form_error(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
 
 
 def parameter_at_limit(parameters: Iterable[ParameterValue]) -> str:
-    """Return that a parameter of an effect ends at a limit of its range, which is no meaningful value, else "".
+    """Return the doubt about an effect with a parameter at a limit of its range, a value without meaning; else "".
 
     Args:
         parameters: Fitted parameters of the effect.
@@ -310,14 +311,15 @@ def parameter_at_limit(parameters: Iterable[ParameterValue]) -> str:
 
 
 def uncertain_size(sizes: Sequence[Size], criteria: SelectionCriteria) -> str:
-    """Return that an effect of the delivered machine may as well be absent, "" if it is certain or has no size.
+    """Return the doubt that an effect of the delivered machine has no size; "" if a size is certain, or it has none.
 
-    The tests of the search compare costs, and final fits follow them, with other observers and to other rows. A fit may
-    also have ended where the measurements hardly depend on the effect, so that a lower cost is not due to it. The
-    effect is still the best of all candidates: a size that one of them reaches by chance is no evidence.
+    A size is certain if it exceeds as many standard deviations as the best of all candidates reaches by chance. This is
+    asked again at the end because the tests of the search compare costs of earlier fits, which used other observers and
+    rows. Also, a fit may have ended where the measurements hardly depend on the effect: then something else lowered the
+    cost.
 
     Args:
-        sizes: Its sizes in the delivered machine; one that is certain suffices.
+        sizes: Parameters without which the effect is absent, in the delivered machine; one that is certain suffices.
         criteria: Decision threshold `chance`.
     """
     deviations = chance_deviations(criteria)

@@ -119,12 +119,15 @@ def unexplained_fraction(error: FitError, best: FitError | None) -> float:
 
 
 def is_better_start(predicted: tuple[float, float], simulated: tuple[float, float]) -> bool:
-    """Return whether the refit starts better from the values of a plain fit than from the declared ones.
+    """Return whether a refit that starts from the values of a plain fit is better than one from the declared values.
+
+    It is if its predictions are clearly better, or if they are a little better and its simulation is much better.
 
     Args:
         predicted: Costs of the refits from the plain and from the declared values, with the widest observer,
             dimensionless; the second may be infinite.
-        simulated: Costs of the same machines in simulation, dimensionless.
+        simulated: Costs of the same two refits in simulation, dimensionless.
     """
     plain, declared = predicted
-    return AS_GOOD * plain < declared or (plain < declared and CLEAR * simulated[0] < simulated[1])
+    plain_simulated, declared_simulated = simulated
+    return AS_GOOD * plain < declared or (plain < declared and CLEAR * plain_simulated < declared_simulated)

@@ -24,9 +24,10 @@ def confirms_table(left_out_ratio: float, criteria: SelectionCriteria) -> bool:
 
 
 def confirms_knots(left_out_ratio: float) -> bool:
-    """Return whether data to which moved knots were not fitted confirm them: their cost falls.
+    """Return whether moved knots reduce the cost of data to which they were not fitted.
 
-    The error at the ends, where few runs come, may change by cross-validation alone; `moves_knots` asks first.
+    Any reduction suffices, because few runs reach the ends of a table, so that its error there is uncertain: how
+    large the gain must be, `moves_knots` asks.
 
     Args:
         left_out_ratio: Ratio of the cost of these data with the moved knots / with the former ones.
@@ -47,13 +48,13 @@ def moves_knots(before: FitError, moved: FitError, criteria: SelectionCriteria) 
 
 @dataclass(frozen=True)
 class TableEvidence:
-    """What a machine with tables leaves, and what the best machines without tables leave, with the widest observer.
+    """Costs of a machine with tables and of the best machines without tables, with the widest observer.
 
     Attributes:
         explained: Whether the machine with tables explains the data.
-        cost: Its cost.
+        cost: Cost of the machine with tables.
         refitted: Cost of the refitted machine without effects.
-        with_effects: Cost of the machine with the selected effects.
+        with_effects: Cost of the machine with the selected effects and without tables.
         effects: Number of the selected effects that the table replaces; 0 if they stay beside it.
     """
 
@@ -65,15 +66,19 @@ class TableEvidence:
 
 
 def accepts_table(evidence: TableEvidence) -> bool:
-    """Return whether a machine with tables is accepted: it leaves only noise, or little of the best other machine.
+    """Return whether a machine with tables is accepted in place of the best machines without tables.
 
-    Several effects may only imitate one unknown curve, so that a table replaces two or more if it is clearly better.
+    It is if it explains the data, or if its cost is a tenth (`FAR`) of theirs. Where tables replace two or more
+    effects, half the cost (`CLEAR`) of the machine with effects suffices: several effects may only imitate one curve.
 
     Args:
-        evidence: What the machines leave.
+        evidence: Costs of the machines.
     """
-    with_effects = (CLEAR if evidence.effects > 1 else FAR) * evidence.cost < evidence.with_effects
-    return evidence.explained or (with_effects and FAR * evidence.cost < evidence.refitted)
+    than_effects = CLEAR if evidence.effects > 1 else FAR
+    is_better = (
+        than_effects * evidence.cost < evidence.with_effects and FAR * evidence.cost < evidence.refitted
+    )
+    return evidence.explained or is_better
 
 
 def is_one_curve(table: float, effects: float) -> bool:
