@@ -26,7 +26,7 @@ Times: TypeAlias = NDArray[np.float64]
 """Sample times, s, strictly increasing, shape (N,)."""
 
 Inputs: TypeAlias = NDArray[np.float64]
-"""Commanded voltage of each drive, V, held from each sample until the next, shape (N, drives)."""
+"""Command of each drive, V, A, Nm or the unit of its set point, held until the next sample, shape (N, drives)."""
 
 ElapsedTimes: TypeAlias = NDArray[np.float64]
 """Time since the start of the episode of each machine, s, shape (B,)."""
@@ -68,7 +68,7 @@ GoalPlans: TypeAlias = NDArray[np.float64]
 """Plan of each episode: numbers, in the task's format, that define its goal at all times, shape (k, plan_size)."""
 
 LaneReadings: TypeAlias = NDArray[np.float64]
-"""Readings of all sensors without noise and quantization, m or rad, in lanes, shape (blocks, sensors, LANES).
+"""Readings of all sensors without noise and quantization, in their units, in lanes, shape (blocks, sensors, LANES).
 
 Machine b is lane b % LANES (8 or 16, `hframe_gym.dynamics.LANES`) of block b // LANES.
 """

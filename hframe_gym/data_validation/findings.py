@@ -78,8 +78,8 @@ def command_in_words(value: float, drive: Drive, machine: Machine) -> str:
         machine: Declared machine.
 
     Returns:
-        Number and unit, such as "3 V". A duty cycle, which is a voltage in simulations, is a fraction of the rated
-        voltage, which it is of if the supply was not measured.
+        Number and unit, such as "3 V". A duty cycle, which is a voltage in simulations, is stated as a fraction of the
+        rated voltage with the voltage in brackets.
     """
     text = f"{value + 0.0:.4g} {channel_unit(drive.channel, machine)}"  # never -0
     if not DRIVE_KINDS.get(drive.kind).fraction:

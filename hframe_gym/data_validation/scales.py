@@ -119,9 +119,9 @@ class _SpanMotion:
     A change over a span is the mean speed times the length of the span, so that ratios of changes are those of speeds.
 
     Attributes:
-        measured: Changes of the measurements over each span, m or rad, shape (rows, sensors).
-        simulated: Changes of the simulated measurements, m or rad, shape (rows, sensors).
-        values: Measurements at the middle of each span, m or rad, shape (rows, sensors).
+        measured: Changes of the measurements over each span, in the sensors' units, shape (rows, sensors).
+        simulated: Changes of the simulated measurements, in the sensors' units, shape (rows, sensors).
+        values: Measurements at the middle of each span, in the sensors' units, shape (rows, sensors).
         run: Index of the run of each row, shape (rows,).
     """
 

@@ -44,8 +44,8 @@ def rigid_prediction(outputs: Array, channel: int, machine: Machine) -> tuple[Ar
     """Predict one sensor's measurements from the other sensors by rigid kinematics (belts that do not stretch).
 
     Args:
-        outputs: Measurements, m or rad, shape (n, sensors), NaN where not measured. A column without any measurement is
-            not used.
+        outputs: Measurements, in the sensors' units, shape (n, sensors), NaN where not measured. A column without any
+            measurement is not used.
         channel: Index of the sensor to predict.
 
     Returns:
@@ -80,8 +80,8 @@ def rigid_misfit(motion: Array, machine: Machine) -> float:
     motion is fitted to each row by least squares; the residual contradicts rigid kinematics.
 
     Args:
-        motion: Displacements or changes of the measurements, m or rad, shape (n, sensors), NaN where not measured. A
-            column without any measurement is not used; a row that lacks another one is left out.
+        motion: Displacements or changes of the measurements, in the sensors' units, shape (n, sensors), NaN where not
+            measured. A column without any measurement is not used; a row that lacks another one is left out.
 
     Returns:
         sqrt(sum of squared residuals / sum of squares of the scaled channels), dimensionless, 0 to 1. It is 0 if

@@ -128,7 +128,7 @@ class DifferentiableStage(Stage[torch.Tensor]):
             parameters: Parameters, SI, shape (P,) or (B, P). Default: those of the machine.
 
         Returns:
-            Readings, m or rad, shape (B, n, sensors).
+            Readings, in the sensors' units, shape (B, n, sensors).
         """
         values = self._parameters_or_nominal(parameters, len(states))
         result: Tensor = _readings(states.double(), values.double(), self)

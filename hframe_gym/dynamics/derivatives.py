@@ -280,7 +280,7 @@ class DifferentiableMotion:
             parallel: Whether to distribute the machines over threads.
 
         Returns:
-            Readings, m or rad, shape (B, N, sensors).
+            Readings, in the sensors' units, shape (B, N, sensors).
         """
         parameters = np.ascontiguousarray(parameters, dtype=np.float64)
         travel = states[:, :, : self._count] * self._units(parameters)[:, None, : self._count]

@@ -129,8 +129,8 @@ def simulate_batch(
             (B, 2 * coordinates); default: at rest at the origin. States of the effects (SI, in the order of the
             machine's effects) may follow in further columns; without them they are zero.
         extra_force: External force, N or Nm, held until the next sample, shape (N, coordinates) or (B, N, coordinates).
-        measured: Measurements that correct the simulation (observer), m or rad, shape (N, sensors) or (B, N, sensors),
-            NaN where not measured.
+        measured: Measurements that correct the simulation (observer), in the sensors' units, shape (N, sensors) or
+            (B, N, sensors), NaN where not measured.
         gains: Observer gains, SI, shape (2 * coordinates, sensors): at every sample gains @ (measured - reading) is
             added to the positions (first rows) and velocities (last rows). None: no correction.
         longest_step: Largest step of the integrator, s.
@@ -242,7 +242,8 @@ def simulate(
         initial: Positions (m, rad), then velocities (m/s, rad/s), at the first sample, shape (2 * coordinates,). The
             internal states of all effects that have one (a hysteresis, for example) may follow, in the order of
             `machine.effects`; without them they are zero. Default: at rest at the origin with unstretched belts.
-        offset: Constant that is added to the readings of each sensor, m or rad, shape (sensors,) or one number.
+        offset: Constant that is added to the readings of each sensor, in the sensors' units, shape (sensors,) or one
+            number.
         longest_step: Largest step of the integrator, s.
 
     Returns:

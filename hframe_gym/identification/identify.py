@@ -54,7 +54,7 @@ def identify(
     Three machines (declared, refitted, with effects) are simulated over the held-out runs, to which nothing was fitted.
 
     Args:
-        recordings: Runs of one rig (times, s; voltages, V; measurements, m or rad), at least two.
+        recordings: Runs of one rig, at least two.
         machine: Machine as declared.
         held_out: Names of the runs to evaluate on. Default: one of each four similar runs, see `hold_out`.
         criteria: Decision thresholds. Default: `SelectionCriteria()`.

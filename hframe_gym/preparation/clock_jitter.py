@@ -67,13 +67,13 @@ def noise_by_row(time_s: Array, outputs: Array, noise: Array, jitter: float) -> 
 
     Args:
         time_s: Sample times, s, shape (n,).
-        outputs: Measurements, m or rad, shape (n, sensors), NaN where not measured.
-        noise: Standard deviations of the sensors' noise at rest, m or rad, shape (sensors,).
+        outputs: Measurements, in the sensors' units, shape (n, sensors), NaN where not measured.
+        noise: Standard deviations of the sensors' noise at rest, in the sensors' units, shape (sensors,).
         jitter: Standard deviation of the sampling time, s.
 
     Returns:
-        sqrt(noise^2 + (jitter * speed)^2), m or rad, shape (n, sensors). The speed of a sensor is the slope of a
-        parabola over 11 of its measurements.
+        sqrt(noise^2 + (jitter * speed)^2), in the sensors' units, shape (n, sensors). The speed of a sensor is the
+        slope of a parabola over 11 of its measurements.
     """
     by_row = np.tile(noise, (len(time_s), 1))
     for j, values in enumerate(outputs.T):

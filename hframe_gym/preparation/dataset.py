@@ -70,10 +70,11 @@ class PreparedRecording:
         name: Name of the run.
         time_s: Sample times, s, shape (n,).
         inputs: Drive voltages, V, shape (n, drives).
-        outputs: Measurements minus zeros (measurements at position 0), m or rad, shape (n, sensors), NaN where missing.
+        outputs: Measurements minus zeros (measurements at position 0), in the sensors' units, shape (n, sensors), NaN
+            where missing.
         initial: Measured initial state.
-        noise: Standard deviation of each measurement, m or rad, shape (n, sensors): sqrt(noise^2 + (jitter * speed)^2)
-            with the sensor's noise at rest and the jitter of the clock, s.
+        noise: Standard deviation of each measurement, in the sensors' units, shape (n, sensors):
+            sqrt(noise^2 + (jitter * speed)^2) with the sensor's noise at rest and the jitter of the clock, s.
         weights: Weight of each measurement in a fit, shape (n, sensors), from 0 (not measured) to 1 (independent of the
             measurements beside it), see `independent_values`.
         dropped: True for rows that the logger dropped; their voltages are interpolated or estimated, shape (n,).
@@ -155,8 +156,8 @@ class Dataset:
 
     Attributes:
         runs: The recordings.
-        noise: Standard deviations of the sensors' noise, m or rad, shape (sensors,).
-        quantum: Quantization steps of the sensors, m or rad, 0 where there is none, shape (sensors,).
+        noise: Standard deviations of the sensors' noise, in the sensors' units, shape (sensors,).
+        quantum: Quantization steps of the sensors, in the sensors' units, 0 where there is none, shape (sensors,).
         behind_belts: True for sensors whose zero the rows at rest do not determine: encoders on pulleys, which elastic
             belts separate from the tool, and sensors with an offset, shape (sensors,).
         zeros: Zeros of the encoders that have the same one in all runs, because they stayed on. None: unknown.
@@ -200,8 +201,8 @@ class Dataset:
         initial position.
 
         Returns:
-            Limits, m or rad, shape (sensors,): infinite behind belts and, if `means_are_zeros`, for sensors without
-            quantization that measured at rest; otherwise half a quantization step.
+            Limits, in the sensors' units, shape (sensors,): infinite behind belts and, if `means_are_zeros`, for
+            sensors without quantization that measured at rest; otherwise half a quantization step.
         """
         by_mean = self.means_are_zeros & run.initial.measured_at_rest & (self.quantum == 0.0)
         return np.where(by_mean, np.inf, max_zero_means(self.behind_belts, self.quantum))

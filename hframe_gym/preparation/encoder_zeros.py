@@ -25,7 +25,7 @@ class EncoderZeros(NamedTuple):
 
     Attributes:
         values: Zero of each sensor, m or rad, NaN where it is unknown, shape (sensors,).
-        spread: Standard deviation of the measured zero from run to run, m or rad, shape (sensors,). Its
+        spread: Standard deviation of the measured zero from run to run, in the sensors' units, shape (sensors,). Its
             cause is the stretch of the belts at rest, which differs from run to run; 0 where the encoder does not
             resolve this stretch.
     """
@@ -52,7 +52,8 @@ class EncoderZeros(NamedTuple):
             machine: Machine; the sensors of an identified one may have a zero (attribute `Sensor.zero`).
 
         Returns:
-            Zeros of all sensors, m or rad, shape (sensors,); NaN (unknown) where the machine file has none.
+            Zeros of all sensors, in the sensors' units, shape (sensors,); NaN (unknown) where the machine file has
+            none.
         """
         return cls(
             np.array([np.nan if s.zero is None else s.zero for s in machine.sensors], float),
@@ -98,10 +99,10 @@ def zero_tolerance(machine: Machine, zeros: EncoderZeros, quanta: Array) -> Arra
     Args:
         machine: Machine with belts.
         zeros: Zeros of the session, with their standard deviations from run to run.
-        quanta: Quantization steps of the sensors, m or rad, shape (sensors,).
+        quanta: Quantization steps of the sensors, in the sensors' units, shape (sensors,).
 
     Returns:
-        Largest permitted differences, m or rad, shape (sensors,): the sum of four standard deviations, two
+        Largest permitted differences, in the sensors' units, shape (sensors,): the sum of four standard deviations, two
         quantization steps, and twice the angle by which friction can hold the pulley away from unstretched belts.
     """
     # Friction can hold the pulley in one direction in this run, and in the other one in those that gave the zeros.

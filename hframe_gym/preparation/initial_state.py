@@ -52,7 +52,7 @@ def measured_initial_state(
         recording: The run; saturated measurements are NaN.
         machine: Machine with the rig's coordinates, belts and sensors, and its effects.
         zeros: Zeros of the encoders in the session.
-        quanta: Quantization steps of the sensors, m or rad, shape (sensors,).
+        quanta: Quantization steps of the sensors, in the sensors' units, shape (sensors,).
         alone: Initial state without zeros of the session. Default: that of `estimate_initial_state`.
 
     Returns:

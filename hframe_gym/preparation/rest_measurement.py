@@ -76,8 +76,8 @@ class InitialState:
         zeros: Zeros of the sensors (measurements at position 0), in the sensors' units, shape (sensors,); the argument
             `offset` of `simulate`.
         resting_rows: Number of rows at rest at the beginning of the run.
-        zero_spread: Standard deviation of each encoder's zero from run to run, m or rad, shape (sensors,); 0 for an
-            encoder without a known zero, and for one that does not resolve the stretch of the belts.
+        zero_spread: Standard deviation of each encoder's zero from run to run, in the sensors' units, shape (sensors,);
+            0 for an encoder without a known zero, and for one that does not resolve the stretch of the belts.
         zeros_refined: Whether a fitted machine has corrected the encoders' zeros.
         position_measured: Whether sensors with a known zero measure the position at rest.
         lasers_measured: Whether sensors with a fixed zero alone measure the position at rest.

@@ -30,7 +30,7 @@ def saturation_ranges(
     Args:
         recordings: All runs of the rig.
         machine: Machine as declared.
-        noise: Standard deviations of the sensors' noise, m or rad, shape (sensors,).
+        noise: Standard deviations of the sensors' noise, in the sensors' units, shape (sensors,).
 
     Returns:
         Lower and upper end of the measuring range, m or rad, by channel of each saturating laser. For an end that the
@@ -111,7 +111,7 @@ def blank_saturated(
 
     Args:
         ranges: Lower and upper end of the measuring range by channel name, m or rad. Other channels are unchanged.
-        noise: Standard deviations of the sensors' noise, m or rad, shape (sensors,).
+        noise: Standard deviations of the sensors' noise, in the sensors' units, shape (sensors,).
     """
     outputs = recording.outputs.copy()
     for channel, (low, high) in ranges.items():

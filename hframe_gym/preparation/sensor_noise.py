@@ -122,8 +122,8 @@ def independent_values(time_s: Array, outputs: Array, quanta: Array) -> Array:
 
     Args:
         time_s: Sample times, s, shape (n,).
-        outputs: Measurements, m or rad, shape (n, sensors), NaN where not measured.
-        quanta: Quantization steps of the sensors, m or rad, 0 where there is none, shape (sensors,).
+        outputs: Measurements, in the sensors' units, shape (n, sensors), NaN where not measured.
+        quanta: Quantization steps of the sensors, in the sensors' units, 0 where there is none, shape (sensors,).
 
     Returns:
         Weights, dimensionless, shape (n, sensors): 0 where not measured; 1 / N at rest; 1 in motion, and for sensors

@@ -29,12 +29,12 @@ def sensor_zero_error(
         error: Measured minus predicted values over n samples, m or rad, 0 if not measured, shape (batch, n, sensors).
         weights: Weights of the measurements in the means, dimensionless, 0 where not measured, shape (n, sensors).
         resting_rows: Number of rows at rest at the beginning of the run, at least 1.
-        max_mean: Largest difference between estimate and mean error at rest, m or rad, shape (sensors,); infinite for
-            no limit.
-        quanta: Quantization steps of the sensors, m or rad, 0 where there is none, shape (sensors,).
+        max_mean: Largest difference between estimate and mean error at rest, in the sensors' units, shape (sensors,);
+            infinite for no limit.
+        quanta: Quantization steps of the sensors, in the sensors' units, 0 where there is none, shape (sensors,).
 
     Returns:
-        Errors of the zeros, m or rad, shape (batch, 1, sensors), to be subtracted from `error`.
+        Errors of the zeros, in the sensors' units, shape (batch, 1, sensors), to be subtracted from `error`.
     """
 
     def mean(rows: slice) -> Array:  # (batch, sensors)
@@ -57,10 +57,10 @@ def max_zero_means(behind: NDArray[np.bool_], quanta: Array) -> Array:
 
     Args:
         behind: True for encoders on pulleys, which elastic belts separate from the tool, shape (sensors,).
-        quanta: Quantization steps of the sensors, m or rad, 0 where there is none, shape (sensors,).
+        quanta: Quantization steps of the sensors, in the sensors' units, 0 where there is none, shape (sensors,).
 
     Returns:
-        Limits, m or rad, shape (sensors,): infinite behind belts, otherwise half a quantization step.
+        Limits, in the sensors' units, shape (sensors,): infinite behind belts, otherwise half a quantization step.
     """
     return np.where(behind, np.inf, quanta / 2)
 
@@ -75,11 +75,11 @@ def max_reported_zero_means(machine: Machine, initial: InitialState, quanta: Arr
     Args:
         machine: Machine whose error is reported.
         initial: Initial state of the run.
-        quanta: Quantization steps of the sensors, m or rad, 0 where there is none, shape (sensors,).
+        quanta: Quantization steps of the sensors, in the sensors' units, 0 where there is none, shape (sensors,).
 
     Returns:
-        Limits, m or rad, shape (sensors,): half a quantization step; behind belts, what `zero_tolerance` permits, and
-        for a run that begins in motion four times the stretch that the drives typically cause.
+        Limits, in the sensors' units, shape (sensors,): half a quantization step; behind belts, what `zero_tolerance`
+        permits, and for a run that begins in motion four times the stretch that the drives typically cause.
     """
     behind = behind_belts(machine)
     limits = max_zero_means(free_zeros(machine) & ~behind, quanta)

@@ -34,12 +34,12 @@ def common_encoder_zeros(initial: Sequence[InitialState], machine: Machine, quan
     Args:
         initial: Initial states of the runs, each estimated with unknown zeros.
         machine: Machine as declared.
-        quanta: Quantization steps of the sensors, m or rad, shape (sensors,).
+        quanta: Quantization steps of the sensors, in the sensors' units, shape (sensors,).
 
     Returns:
-        Median over the runs of the zero of each such encoder, m or rad, shape (sensors,), NaN for all other sensors,
-        and its standard deviation from run to run. With fewer than three runs or without belts: the zeros that the
-        machine declares.
+        Median over the runs of the zero of each such encoder, in the sensors' units, shape (sensors,), NaN for all
+        other sensors, and its standard deviation from run to run. With fewer than three runs or without belts: the
+        zeros that the machine declares.
     """
     zeros = EncoderZeros.of_machine(machine)
     if not machine.belts or len(initial) < _MIN_RUNS_FOR_ZERO:

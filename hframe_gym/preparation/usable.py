@@ -149,7 +149,8 @@ def rest_and_noise(recording: Recording, machine: Machine) -> tuple[int, Array, 
         recording: Run without gaps.
 
     Returns:
-        Number of rows at rest; quantization steps and noise of the sensors, m or rad, shape (sensors,) each.
+        Number of rows at rest; quantization steps and noise of the sensors, in the sensors' units, shape (sensors,)
+        each.
     """
     rows = count_resting_rows(recording, machine)
     channels = recording.outputs.T
@@ -174,7 +175,7 @@ def without_saturated(
 
     Args:
         recordings: Runs of one rig.
-        noise: Standard deviations of the sensors' noise, m or rad, shape (sensors,).
+        noise: Standard deviations of the sensors' noise, in the sensors' units, shape (sensors,).
         criteria: Thresholds by which a sensor at the end of its range is recognized.
 
     Returns:

@@ -69,7 +69,7 @@ def comparison_window(outputs: Array, time_s: Array, shortest: float) -> float:
     """Return the length of a time window in which usually every channel, even a slow one, has a measurement.
 
     Args:
-        outputs: Measurements, m or rad, shape (n, sensors), NaN where not measured.
+        outputs: Measurements, in the sensors' units, shape (n, sensors), NaN where not measured.
         time_s: Sample times, s, shape (n,).
         shortest: Smallest length of the window, s; it is returned if all sensors measure often enough.
 
@@ -93,7 +93,7 @@ def bridge_blanks(outputs: Array, time_s: Array, longest_gap: float) -> Array:
     Only such comparisons use the result; fits and estimates of the noise use the measured cells alone.
 
     Args:
-        outputs: Measurements, m or rad, shape (n, sensors), NaN where not measured.
+        outputs: Measurements, in the sensors' units, shape (n, sensors), NaN where not measured.
         time_s: Sample times, s, shape (n,).
         longest_gap: Longest time between successive measurements of a sensor over which values are interpolated, s.
 
@@ -175,9 +175,9 @@ def without_repetitions(recording: Recording) -> Recording:
         recording: Run as logged, with n rows.
 
     Returns:
-        Copy with measurements, m or rad, shape (n, sensors); the same object if no sensor is slow. Each row in which
-        the value of a slow sensor changes is kept. While the value is constant (machine at rest), one row per measuring
-        interval is kept, from the second interval after the last change on.
+        Copy with measurements, in the sensors' units, shape (n, sensors); the same object if no sensor is slow. Each
+        row in which the value of a slow sensor changes is kept. While the value is constant (machine at rest), one row
+        per measuring interval is kept, from the second interval after the last change on.
     """
     outputs = recording.outputs.copy()
     for values in outputs.T:
@@ -240,7 +240,7 @@ def peak_to_peak(outputs: Array) -> Array:
     """Compute the difference between the largest and the smallest measurement of each channel.
 
     Args:
-        outputs: Measurements, m or rad, NaN where not measured, shape (n, sensors), or (n,) of one sensor.
+        outputs: Measurements, in the sensors' units, NaN where not measured, shape (n, sensors), or (n,) of one sensor.
 
     Returns:
         Differences in the same units, 0 where nothing was measured, shape (sensors,), or a scalar for one sensor.

@@ -166,7 +166,8 @@ def recording_from_columns(path: Path, columns: Mapping[str, Array], machine: Ma
 
     Args:
         path: File of the run, from which its name is taken; it need not exist.
-        columns: Values by column, shape (n,) each: `time_s` (s), all inputs (V), and any of the outputs (m or rad).
+        columns: Values by column, shape (n,) each: `time_s` (s), all inputs and any of the outputs, in the units that
+            their names state.
 
     Returns:
         The run: times, shape (n,), inputs, shape (n, drives), and outputs, shape (n, sensors). Outputs without a column

@@ -280,7 +280,7 @@ def readings_forward(read_sensors: int, states, parameters, first: int, last: in
         parameters: Machine parameters, SI, shape (B, parameters).
         first: Index of the first block.
         last: Index after the last block.
-        readings: Output, m or rad, shape (B, N, sensors).
+        readings: Output, in the sensors' units, shape (B, N, sensors).
     """
     block_parameters = np.zeros((parameters.shape[1], LANES))
     state = np.zeros((states.shape[2], LANES))

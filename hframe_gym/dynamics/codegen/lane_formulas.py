@@ -122,7 +122,7 @@ def cos(x: Any) -> Any:
 
 
 def tanh(x: Any) -> Any:
-    """Return (1 - e) / (1 + e) with e = e**(-2 |x|), with the sign of x; below 0.4, a continued fraction."""
+    """Return (1 - p) / (1 + p) with p = exp(-2 |x|) and the sign of x; for |x| below 0.4, a continued fraction."""
     # Lambert's continued fraction x / (1 + s / (3 + s / (5 + ...))) to the term 17: remainder 1e-17 for |x| <= 0.4.
     s = x * x
     tail = 15.0 + s / 17.0

@@ -137,8 +137,10 @@ def delay_readings(time, i: int, sensor_delays, past_readings, reading) -> None:
     Args:
         time: Sample times, s, shape (N,).
         sensor_delays: Delay of each sensor, s, shape (sensors, LANES), one machine per column.
-        past_readings: Readings without delay, m or rad, shape (N, sensors, LANES), up to sample i - 1; row i is added.
-        reading: Readings of sample i, m or rad, shape (sensors, LANES): without delay on entry, delayed on return.
+        past_readings: Readings without delay, in the sensors' units, shape (N, sensors, LANES), up to sample i - 1; row
+            i is added.
+        reading: Readings of sample i, in the sensors' units, shape (sensors, LANES): without delay on entry, delayed on
+            return.
     """
     for j in range(reading.shape[0]):
         for lane in range(reading.shape[1]):
@@ -163,10 +165,10 @@ def inject_outputs(block: int, i: int, measured, gains, reading, innovation, sta
     all lanes, so that they are vector instructions.
 
     Args:
-        measured: Measurements, m or rad, shape (1 or B, N, sensors), NaN where not measured.
+        measured: Measurements, in the sensors' units, shape (1 or B, N, sensors), NaN where not measured.
         gains: Change of belt travel (m) and of its rate (m/s) per m or rad of error, shape (2 * coordinates, sensors).
-        reading: Simulated readings, m or rad, shape (sensors, LANES).
-        innovation: Room for the differences, m or rad, shape (sensors, LANES).
+        reading: Simulated readings, in the sensors' units, shape (sensors, LANES).
+        innovation: Room for the differences, in the sensors' units, shape (sensors, LANES).
         state: State, corrected in place, shape (rows, LANES).
     """
     for j in range(reading.shape[0]):
@@ -267,12 +269,13 @@ def rollout(
         inputs: Voltages, V, shape (1 or B, N, drives), held until the next sample.
         parameters: Machine parameters, SI, shape (B, parameters).
         start: First state without its time: belt travel (radius * angle), m, rate, m/s, effects, shape (B, rows - 1).
-        measured: Measurements to correct the state, m or rad, shape (1 or B, N, sensors), NaN where missing; or empty.
+        measured: Measurements to correct the state, in the sensors' units, shape (1 or B, N, sensors), NaN where
+            missing; or empty.
         gains: Change of travel and its rate per error, m and m/s per m or rad, shape (2 * coordinates, sensors).
         extra: External forces, N, held until the next sample, shape (1 or B, N, coordinates); used if they act.
         longest_step: Largest step of the integrator, s.
         out: Output, first k rows of the state (travel, m; its rate, m/s) at the samples, shape (B, N, k), or empty.
-        readings: Output, sensor readings, m or rad, shape (B, N, sensors); empty if not needed.
+        readings: Output, sensor readings, in the sensors' units, shape (B, N, sensors); empty if not needed.
     """
     prepare, voltage_delays, advance, read_sensors, measurement_delays = functions
     coordinates, rows, drives, sensors, constants, derived_rows = sizes
@@ -380,7 +383,7 @@ def read_blocks(read_sensors: int, state, parameters, first: int, last: int, rea
         read_sensors: Address of the kernel's function.
         state: Belt travel (m), its rate (m/s), time (s) and effect states, shape (blocks, rows, LANES).
         parameters: Machine parameters, SI, shape (blocks, parameters, LANES).
-        readings: Output, readings without delay, m or rad, shape (blocks, sensors, LANES).
+        readings: Output, readings without delay, in the sensors' units, shape (blocks, sensors, LANES).
     """
     for block in range(first, last):
         call_at(read_sensors, state[block], parameters[block], readings[block])

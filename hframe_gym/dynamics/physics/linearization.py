@@ -128,11 +128,12 @@ def resolved_step(machine: Machine, longest_step: float) -> float:
     """Return an integration step, s, that resolves the fastest vibration and delays, at most `longest_step`, s.
 
     Steps that are too long for a stiff belt change the frequency of its vibration, and much longer ones make the
-    integrator diverge. The result is 0.75 / highest natural frequency (rad/s) at position 0, if that is shorter. The
-    loop of a drive that follows a set point counts with the largest eigenvalue of the linear model. Voltages that act
-    with a delay change inside a step, whose error falls with the square of its length. It is at
-    least a hundredth of `longest_step`: a machine that needs shorter ones has a wrong mass or stiffness, and its
-    simulation then ends with an error instead of running out of memory.
+    integrator diverge. The step is therefore at most 0.75 / the highest natural frequency (rad/s) at position 0, or
+    0.75 / the largest eigenvalue of the linear model where a drive follows a set point. It is shorter for voltages that
+    act with a delay: they change inside a step, whose error falls with the square of its length.
+
+    The step is at least a hundredth of `longest_step`. A machine that needs shorter ones has a wrong mass or stiffness,
+    and its simulation then ends with an error instead of running out of memory.
     """
     return max(_resolving_step(machine, longest_step), _SHORTEST_PART * longest_step)
 

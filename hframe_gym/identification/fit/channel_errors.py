@@ -46,7 +46,7 @@ def simulation_error(machine: Machine, run: PreparedRecording, data: Dataset) ->
         data: Data set of the run, for the sampling period and the sensors' quantization steps.
 
     Returns:
-        Errors, m or rad, NaN where not measured, shape (n, sensors).
+        Errors, in the sensors' units, NaN where not measured, shape (n, sensors).
     """
     start = most_probable_initial_state(machine, run, data)
     motion = predict(
@@ -77,10 +77,10 @@ def errors_by_channel(
     """Return the root mean square of given simulation errors over all runs, for every output channel.
 
     Args:
-        by_run: Errors by run, m or rad, NaN where not measured, shape (n, sensors) each.
-        noise: Standard deviations of the sensors' noise, m or rad, shape (sensors,).
-        measured: Measurements of the same runs, m or rad, shape (n, sensors) each, for the ratio of error and motion.
-            Default: without this ratio.
+        by_run: Errors by run, in the sensors' units, NaN where not measured, shape (n, sensors) each.
+        noise: Standard deviations of the sensors' noise, in the sensors' units, shape (sensors,).
+        measured: Measurements of the same runs, in the sensors' units, shape (n, sensors) each, for the ratio of error
+            and motion. Default: without this ratio.
 
     Returns:
         Errors by name of the output channel, m or rad, and dimensionless relative to noise and motion; None for a

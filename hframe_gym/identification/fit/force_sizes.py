@@ -169,7 +169,7 @@ def _observed_force(
 
 
 def _errors(machine: Machine, run: PreparedRecording, data: Dataset, bandwidth: float) -> Array:
-    """Return measured minus predicted values, m or rad, shape (n, sensors)."""
+    """Return measured minus predicted values, in the sensors' units, shape (n, sensors)."""
     motion = predict(machine, run, bandwidth, period=data.period, longest_step=search_step(bandwidth))
     return np.asarray(prediction_error(run, data, motion.readings)[0])
 

@@ -189,7 +189,7 @@ def sensor_combinations(machine: Machine, data: Dataset) -> Array:
 def _synthetic_noise(
     machine: Machine, run: PreparedRecording, data: Dataset, rng: np.random.Generator
 ) -> Array:
-    """Return noise of the measurements of a run, m or rad, shape (n, sensors); quantized sensors round the motion."""
+    """Return noise of a run, in the sensors' units, shape (n, sensors); quantized sensors round the motion."""
     noise = rng.normal(size=run.outputs.shape) * np.sqrt(np.maximum(run.noise**2 - data.quantum**2 / 12, 0.0))
     exact = predict(machine, run, SEARCH_BANDWIDTH, period=data.period).readings[0]
     for j in np.flatnonzero(data.quantum > 0.0):

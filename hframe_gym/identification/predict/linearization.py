@@ -129,7 +129,7 @@ class ResidualModel:
 
         Args:
             run: Measured run of n samples.
-            predicted: Predicted measurements of a batch, m or rad, shape (batch, n, sensors).
+            predicted: Predicted measurements of a batch, in the sensors' units, shape (batch, n, sensors).
 
         Returns:
             Residuals, dimensionless, shape (batch, rows): one row per block and sensor, all sensors of a block before

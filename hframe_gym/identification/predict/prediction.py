@@ -226,7 +226,8 @@ def predict(
         inputs: Voltages, V, shape (batch, n, drives). Default: those of the run.
         extra_force: Additional force on every coordinate, N or Nm, constant from each sample to the next, shape
             (batch, n, coordinates). Default: none.
-        extra_measurement: Value added to the sensors' output, m or rad, shape (batch, n or 1, sensors). Default: none.
+        extra_measurement: Value added to the sensors' output, in the sensors' units, shape (batch, n or 1, sensors).
+            Default: none.
         initial_state: Positions (m, rad), velocities (m/s, rad/s), effect states (SI; may be left out: zero), shape
             (2 * coordinates + effect states,) or with a leading batch axis. Default: `run.initial_state(machine)`. The
             observer shifts the measurements of encoders so that they agree with the first of these states.
@@ -234,8 +235,9 @@ def predict(
         states: Whether to return positions and velocities too.
 
     Returns:
-        `readings`: predicted measurements, m or rad, shape (batch, n, sensors), not finite if the prediction diverges.
-        With `states` also `positions`, m or rad, and `velocities`, m/s or rad/s, shape (batch, n, coordinates) each.
+        `readings`: predicted measurements, in the sensors' units, shape (batch, n, sensors), not finite if the
+        prediction diverges. With `states` also `positions`, m or rad, and `velocities`, m/s or rad/s, shape
+        (batch, n, coordinates) each.
     """
     starts = np.atleast_2d(run.initial_state(machine) if initial_state is None else initial_state)
     measured = gains = None
@@ -285,7 +287,7 @@ def measurements_from(start: Array, machine: Machine, run: PreparedRecording) ->
         run: Run, n samples.
 
     Returns:
-        Measurements, m or rad, shape (n, sensors).
+        Measurements, in the sensors' units, shape (n, sensors).
     """
     measured_start = run.initial.position
     displacement = machine.sensor_matrix[:, : len(measured_start)] @ (
@@ -336,13 +338,14 @@ def prediction_error(
     Args:
         run: Measured run, n samples.
         data: Data set of the run, for the sensors' quantization steps.
-        measurements: Predicted measurements of a batch of predictions, m or rad, shape (batch, n, sensors).
+        measurements: Predicted measurements of a batch of predictions, in the sensors' units, shape
+            (batch, n, sensors).
         fitted: True for the residual of a fit: sensors without quantization that measured at rest are treated like
             encoders behind belts, and measurements with the same rounding error count as one in the means
             (`run.weights`). False for an evaluation: equal weights.
 
     Returns:
-        Errors, m or rad, shape (batch, n, sensors); meaningless numbers where nothing was measured.
+        Errors, in the sensors' units, shape (batch, n, sensors); meaningless numbers where nothing was measured.
     """
     measured = np.isfinite(run.outputs)
     error: Array = run.outputs - measurements
@@ -371,7 +374,8 @@ def residuals(
     Args:
         run: Measured run, n samples, with the standard deviation of each value's noise.
         data: Data set of the run, for the sensors' quantization steps.
-        measurements: Predicted measurements of a batch of predictions, m or rad, shape (batch, n, sensors).
+        measurements: Predicted measurements of a batch of predictions, in the sensors' units, shape
+            (batch, n, sensors).
         rows_per_block: Number of consecutive rows that are combined into one: their sum divided by the root of this
             number. White noise keeps its standard deviation, slow residuals keep their sum of squares.
         fitted: True for the residual of a fit: measurements with the same rounding error count as one, and the zeros

@@ -50,7 +50,7 @@ class Perturbation(NamedTuple):
 
     Attributes:
         force: Force on every coordinate, N or Nm, shape (columns, n, coordinates).
-        measurement: Change of the sensors' output, m or rad, shape (columns, n, sensors).
+        measurement: Change of the sensors' output, in the sensors' units, shape (columns, n, sensors).
     """
 
     force: Array

@@ -48,7 +48,7 @@ class SimulatedRecording(NamedTuple):
     Attributes:
         trajectory: Positions, velocities and simulated measurements. The latter include the zeros of the sensors (their
             measurements at position 0), so that they can be compared with the recording.
-        error: Measured minus simulated values, m or rad, shape (n, sensors); NaN where nothing or an
+        error: Measured minus simulated values, in the sensors' units, shape (n, sensors); NaN where nothing or an
             outlier was measured, in repetitions of slow sensors, and before the machine came to rest.
         initial: Initial state and zeros of the sensors; its `warnings` list what could not be determined.
     """
@@ -59,7 +59,7 @@ class SimulatedRecording(NamedTuple):
 
     @property
     def outputs(self) -> Array:
-        """Simulated measurements, m or rad, shape (n, sensors)."""
+        """Simulated measurements, in the sensors' units, shape (n, sensors)."""
         return self.trajectory.outputs
 
 
@@ -84,9 +84,9 @@ def simulate_recording(
             interpolated between the rows.
 
     Returns:
-        Trajectory at the n times of the recording, errors (measured minus simulated), m or rad, shape (n, sensors), NaN
-        where not measured, and initial state. A run that does not begin at rest is simulated from its first measurement
-        on; the rows before are NaN.
+        Trajectory at the n times of the recording, errors (measured minus simulated), in the sensors' units,
+        shape (n, sensors), NaN where not measured, and initial state. A run that does not begin at rest is simulated from its
+        first measurement on; the rows before are NaN.
 
     Raises:
         NotFiniteError: If the motion diverges.
@@ -140,9 +140,9 @@ def initial_state_of_recording(
     Returns:
         Initial state for `simulate(..., initial.start(machine), offset=initial.zeros)`, the simulation whose errors
         identification reports. Its `state` holds positions and velocities, shape (2 * coordinates,), its `zeros` the
-        zeros of the sensors, m or rad, shape (sensors,): those at rest, corrected by the mean error of the run as far
-        as rounding and the stretch of the belts at the start explain it. If the simulation diverges, the zeros follow
-        from the measurements at rest. `warnings` lists what could not be determined.
+        zeros of the sensors, in the sensors' units, shape (sensors,): those at rest, corrected by the mean error of the
+        run as far as rounding and the stretch of the belts at the start explain it. If the simulation diverges, the
+        zeros follow from the measurements at rest. `warnings` lists what could not be determined.
     """
     criteria = criteria or SelectionCriteria()
     begun = from_first_measurement(recording, machine)
