@@ -85,8 +85,8 @@ def simulate_recording(
 
     Returns:
         Trajectory at the n times of the recording, errors (measured minus simulated), in the sensors' units,
-        shape (n, sensors), NaN where not measured, and initial state. A run that does not begin at rest is simulated from its
-        first measurement on; the rows before are NaN.
+        shape (n, sensors), NaN where not measured, and initial state. A run that does not begin at rest is simulated
+        from its first measurement on; the rows before are NaN.
 
     Raises:
         NotFiniteError: If the motion diverges.
