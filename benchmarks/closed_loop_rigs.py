@@ -15,6 +15,7 @@ import argparse
 import json
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ from benchmarks.results_file import data_root, write_results
 from benchmarks.rig_score import identify_rig, root_mean_square
 from hframe_gym.arrays import Array
 from hframe_gym.machine import Machine
+from hframe_gym.parallel import map_tasks
 from hframe_gym.recordings import Recording, load_machine
 from tests.rigs.random_effects import DrawnEffect
 
@@ -43,19 +45,20 @@ TRUTH: dict[int, tuple[DrawnEffect, ...]] = {
 }
 
 
-def run_rig(folder: Path, truth: tuple[DrawnEffect, ...], *, log: bool = False) -> dict[str, Any]:
+def run_rig(number: int, data: Path, *, log: bool = False) -> dict[str, Any]:
     """Identify a rig and compare the result with the truth.
 
     Args:
-        folder: Folder of the rig.
-        truth: What it hides.
+        number: Number of the rig, from 1.
+        data: Folder of the rigs.
         log: Whether to print the progress of the identification, with the processor time.
 
     Returns:
         The row of the results, as plain data.
     """
+    folder = data / f"rig_{number:02d}"
     declared = load_machine(str(folder / "machine.json"))
-    answer = identify_rig(folder, declared, truth, log=log)
+    answer = identify_rig(folder, declared, TRUTH[number], log=log)
     estimated = answer.result.held_out.noise
     noise = np.array([s.noise or value for s, value in zip(declared.sensors, estimated, strict=True)])
     report = answer.result.as_json()
@@ -100,14 +103,16 @@ def main() -> None:
     )
     parser.add_argument("--only", type=int, nargs="+", metavar="NUMBER", choices=tuple(TRUTH))
     parser.add_argument("--log", action="store_true", help="print the progress of each identification")
+    parser.add_argument("--jobs", type=int, default=1, help="number of parallel processes")
     arguments = parser.parse_args()
     data = data_root() / "closed_loop_rigs"
     if not data.is_dir():
         sys.exit("skipped: no folder closed_loop_rigs in $HFRAME_DATA")
     console, rows = Console(width=170), []
-    for number in arguments.only or TRUTH:
-        rows.append(run_rig(data / f"rig_{number:02d}", TRUTH[number], log=arguments.log))
-        console.print(json.dumps(rows[-1]), highlight=False, markup=False, soft_wrap=True)
+    run = partial(run_rig, data=data, log=arguments.log)
+    for row in map_tasks(run, arguments.only or list(TRUTH), jobs=arguments.jobs):
+        console.print(json.dumps(row), highlight=False, markup=False, soft_wrap=True)
+        rows.append(row)
     show(console, rows)
     if not arguments.only:
         write_results("closed_loop_rigs", {"rigs": rows}, seed=None)

@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from benchmarks.results_file import write_results
 from benchmarks.rig_score import identify_rig, unseen_errors
 from hframe_gym.files import write_text
 from hframe_gym.machine import BUILTIN_MACHINES
+from hframe_gym.parallel import map_tasks
 from tests.rigs.random_effects import DrawnEffect
 from tests.rigs.random_rigs import describe_effects
 from tools.repository import ROOT
@@ -118,13 +120,14 @@ def main() -> None:
     )
     parser.add_argument("--only", type=int, nargs="+", metavar="NUMBER", choices=tuple(TRUTH))
     parser.add_argument("--log", action="store_true", help="print the progress of each identification")
+    parser.add_argument("--jobs", type=int, default=1, help="number of parallel processes")
     arguments = parser.parse_args()
     text = hashlib.sha256(source_key().encode())
     for source in _SOURCES:
         text.update((ROOT / source).read_bytes())
     console, rows = Console(width=170), []
-    for number in arguments.only or TRUTH:
-        row = run_rig(number, text.hexdigest(), log=arguments.log)
+    run = partial(run_rig, key=text.hexdigest(), log=arguments.log)
+    for row in map_tasks(run, arguments.only or list(TRUTH), jobs=arguments.jobs):
         named = " + ".join(row["named"]) or row["verdict"]
         console.print(
             f"{row['rig']}: {row['truth']} -> {named}", highlight=False, markup=False, soft_wrap=True

@@ -16,6 +16,7 @@ import argparse
 import json
 import sys
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -27,6 +28,7 @@ from benchmarks.real_machines.study import MACHINES
 from benchmarks.results_file import data_root, write_results
 from hframe_gym.identification import identify
 from hframe_gym.identification.validate.machine_errors import ModelEvaluation
+from hframe_gym.parallel import map_tasks
 from hframe_gym.recordings import load_machine, load_recordings
 
 
@@ -141,17 +143,18 @@ SETS = {
 }
 
 
-def run_set(folder: Path, public: PublicSet, *, log: bool = False) -> dict[str, Any]:
+def run_set(name: str, data: Path, *, log: bool = False) -> dict[str, Any]:
     """Identify one set.
 
     Args:
-        folder: Folder with machine.json and runs.
-        public: The set.
+        name: Name of the set.
+        data: Folder of the sets.
         log: Whether to print the progress of the identification, with the processor time.
 
     Returns:
         The row of the results, as plain data.
     """
+    public, folder = SETS[name], data / name
     file = MACHINES / f"{public.file}.json" if public.file else folder / "machine.json"
     declared = load_machine(str(file))
     recordings = load_recordings(folder / "runs", declared)
@@ -165,7 +168,7 @@ def run_set(folder: Path, public: PublicSet, *, log: bool = False) -> dict[str, 
     report = result.as_json()
     after = _error(result.after)
     return {
-        "set": folder.name,
+        "set": name,
         "machine": public.machine,
         "source": public.source,
         "unit": declared.sensor_unit(declared.sensors[0]),
@@ -219,15 +222,18 @@ def main() -> None:
     )
     parser.add_argument("--only", nargs="+", metavar="SET", choices=tuple(SETS))
     parser.add_argument("--log", action="store_true", help="print the progress of each identification")
+    parser.add_argument("--jobs", type=int, default=1, help="number of parallel processes")
     arguments = parser.parse_args()
     data = data_root() / "public_axes"
-    console, rows = Console(width=170), []
+    console, rows, names = Console(width=170), [], []
     for name in arguments.only or SETS:
-        if not (data / name / "runs").is_dir():
+        if (data / name / "runs").is_dir():
+            names.append(name)
+        else:
             print(f"skipped: no folder {data / name / 'runs'}. {SETS[name].recipe(data / name / 'runs')}")
-            continue
-        rows.append(run_set(data / name, SETS[name], log=arguments.log))
-        console.print(json.dumps(rows[-1]), highlight=False, markup=False, soft_wrap=True)
+    for row in map_tasks(partial(run_set, data=data, log=arguments.log), names, jobs=arguments.jobs):
+        console.print(json.dumps(row), highlight=False, markup=False, soft_wrap=True)
+        rows.append(row)
     if not rows:
         sys.exit("no recordings in $HFRAME_DATA/public_axes")
     show(console, rows)
