@@ -69,7 +69,6 @@ def policy_class(kind: str, actuation: Mapping[str, Any]) -> Any:
     "apg" uses the policy of PPO, "sac" uses `LawPolicy` where the observation has the parts of the action.
 
     Args:
-        kind: Algorithm.
         actuation: Keyword arguments of `ResidualAction`: the table [actuation] of a recipe.
 
     Raises:
@@ -148,12 +147,7 @@ class Agent(Controller):
             self.mapping.reset(mask)
 
     def structural_mismatch(self, machine: Machine) -> str | None:
-        """Describe why the agent cannot run on a machine: other numbers of axes, observed coordinates or drives.
-
-        Returns:
-            A clause about the agent, for example "was trained on a machine with 2 axes, 2 drives, but 'stage' has
-            1 axis, 1 drive"; None if the machine of the training has the same numbers.
-        """
+        """Describe in a clause, such as "was trained on ...", why the agent cannot run on a machine; or None."""
         return structural_mismatch(self.machine, machine)
 
     def mismatch(self, machine: Machine, period: float, sensors: SensorsLike = "state") -> str | None:

@@ -141,10 +141,6 @@ def refuse_to_replace(folder: Path, recipe: str, task: str, machine: str, seed: 
 
     Args:
         folder: Folder for the files of a training run; it need not exist.
-        recipe: Name of the recipe of the new run, ALGORITHM_TASK.
-        task: Name of the task of the new run.
-        machine: Name of the machine of the new run.
-        seed: Seed of the new run.
         alone: Whether the command trains this seed only. Only then does it accept --resume, which the message proposes.
 
     Raises:
@@ -185,10 +181,6 @@ def refuse_to_replace(folder: Path, recipe: str, task: str, machine: str, seed: 
 
 def read_training_card(file: Path) -> dict[str, Any]:
     """Read settings and results of a training run that is to be resumed, and check the entries that are used.
-
-    Returns:
-        Content of the file. It has the keys `recipe`, `task`, `seed`, `kept` (number of steps after which the policy
-        was kept) and `curve` (learning curve: one dictionary of numbers per evaluation).
 
     Raises:
         InputError: If the file is missing or damaged.

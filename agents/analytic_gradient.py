@@ -56,7 +56,6 @@ class AnalyticPolicyGradient:
         env: Environments whose resets provide machines, starts and goals.
         learning_rate: Learning rate of Adam as a function of the fraction of the run that remains.
         seed: Seed of the weights and of the number of periods at the beginning that are not differentiated.
-        device: "cpu".
         policy_kwargs: Keyword arguments of the policy class.
         periods: Control periods of an episode.
         skipped: Largest number of periods at the beginning that are not differentiated.
@@ -69,7 +68,6 @@ class AnalyticPolicyGradient:
     Attributes:
         policy: Policy with averaged weights (exponential moving average), which is evaluated and saved.
         num_timesteps: Environment steps so far.
-        logger: Logger of stable-baselines3.
         action_space: Space of the actions, drives.
         generators: Generators of all random numbers that do not come from torch or the environment.
 

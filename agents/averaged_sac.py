@@ -21,12 +21,9 @@ class AveragedSAC(SAC):
     """SAC with a moving average of its actor and a schedule of its target entropy.
 
     Args:
-        policy: Policy class.
-        env: Environments.
         averaging: Factor of the exponential moving average of the actor's weights per rollout, 0 to below 1; with 0,
             the actor itself is evaluated.
         target_entropy: As for `SAC`, or a function of the fraction of the run that remains.
-        **keywords: Further arguments of `SAC`.
     """
 
     @override

@@ -132,7 +132,6 @@ def start_agent_folder(recipe: Recipe, task: str, machine: Machine, previews: in
     """Find the folder of the agent in the package from whose weights a recipe such as "adapt" continues the training.
 
     Args:
-        recipe: Recipe whose `start` names the agent.
         task: Name of the task on which training continues; `recipe_task` selects among the agents of the package.
         previews: Number of future goals that this task shows.
 

@@ -87,9 +87,6 @@ class SimulatedPeriod:
     def outputs(self, motions: Motions) -> Array:
         """Read the results of a period from its motions.
 
-        Args:
-            motions: Result of `simulate`.
-
         Returns:
             State at the end of the period, m and m/s, followed by the tool positions, m, at SAMPLES = 2 equally spaced
             times, the last of which is the end (all axes of a time before those of the next); shape (B, 2 n + axes *
@@ -104,7 +101,6 @@ class SimulatedPeriod:
         """Compute the derivatives of a number from its derivatives with respect to the outputs of a period.
 
         Args:
-            motions: Result of `simulate`.
             by_outputs: Derivatives by the result of `outputs`, per SI unit, shape (B, 2 n + axes * SAMPLES).
 
         Returns:
@@ -199,15 +195,9 @@ limited: Any = _Limit.apply
 
 
 def distance_cost(distance: Any) -> Any:
-    """Compute a cost that increases with the distance d to the goal, from 0 at the goal towards 1.
+    """Compute minus the reward "arrival" of distances, m: a cost from 0 at the goal towards 1, in their shape.
 
     It is minus the reward "arrival" (`ArrivalReward`).
-
-    Args:
-        distance: Distances to the goal, m, tensor of any shape.
-
-    Returns:
-        Costs, dimensionless, 0 to 1, tensor of the same shape.
     """
     scales, weights = (torch.tensor(values, dtype=distance.dtype) for values in (SCALES, ARRIVAL_WEIGHTS))
     return (weights * distance[..., None] / (distance[..., None] + scales)).sum(-1)

@@ -83,11 +83,7 @@ class ActionCritic(ContinuousCritic):
 
 
 class LawPolicy(MultiInputPolicy):
-    """Policy of SAC with `LawActor` and `ActionCritic`, for observations with the `ActionParts`.
-
-    Raises:
-        InputError: If the noise depends on the state (`use_sde`).
-    """
+    """Policy of SAC with `LawActor` and `ActionCritic`, for observations with the `ActionParts`, without `use_sde`."""
 
     @override
     def __init__(self, *arguments: Any, use_sde: bool = False, **keywords: Any) -> None:

@@ -53,10 +53,6 @@ class AgentScores(NamedTuple):
 def score_agent(controller: Controller, scenario: Scenario) -> AgentScores:
     """Simulate a controller in the episodes of a scenario and compute its scores, one row of a learning curve.
 
-    Args:
-        controller: Controller to score, usually an `Agent` during its training.
-        scenario: Machine, task and episodes in which the controller runs.
-
     Returns:
         `costs`: `episode_costs`, shape (B,). `row`: scores by name.
         With a fixed goal (an episode settles in a band if the tool stays within this distance of the goal to the end):

@@ -224,11 +224,7 @@ class ResidualAction:
         return spaces.Dict({**observation_space.spaces, **added})
 
     def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
-        """Clear the memory of past periods for the environments that start a new episode.
-
-        Args:
-            mask: True for these environments, shape (batch,). Default: all; the next batch may then have another size.
-        """
+        """Clear the memory of environments that `mask`, shape (batch,), selects; None: all, maybe of a new number."""
         if self.base:
             self.base.reset(mask)
         self._starts.reset(mask)
@@ -373,7 +369,6 @@ def residual_action(machine: Machine, settings: Mapping[str, Any], period: float
     """Create the `ResidualAction` of a recipe; None without settings: the outputs are then the actions.
 
     Args:
-        machine: Machine for which the base controller is designed.
         settings: The recipe's table [actuation]: keyword arguments of `ResidualAction` except machine and period.
         period: Control period, s.
 

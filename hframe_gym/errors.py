@@ -43,11 +43,7 @@ def one_line(error: Exception) -> str:
 
 
 def suggestion(name: object, names: Iterable[str]) -> str:
-    """Return the end of a message about an unknown name: "; did you mean 'corexy'?", or "" if no name is similar.
-
-    Args:
-        name: Name that a user gave.
-    """
+    """Return the end of a message about an unknown name: "; did you mean 'corexy'?", or "" if no name is similar."""
     similar = difflib.get_close_matches(str(name), list(names), 1)
     return f"; did you mean {similar[0]!r}?" if similar else ""
 

@@ -63,20 +63,12 @@ def user_folder(
 
 
 def own_group() -> dict[str, Any]:
-    """Return what a process must be started with so that `interrupt` reaches it alone.
-
-    Returns:
-        Keyword arguments of `subprocess.Popen`.
-    """
+    """Return the arguments of `subprocess.Popen` with which `interrupt` reaches a process alone."""
     return {"creationflags": getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)}
 
 
 def interrupt(process: subprocess.Popen[str]) -> None:
-    """Send a process what Ctrl-C on its terminal would send.
-
-    Args:
-        process: Process that was started with `own_group`.
-    """
+    """Send a process that was started with `own_group` what Ctrl-C on its terminal would send."""
     process.send_signal(getattr(signal, "CTRL_BREAK_EVENT", signal.SIGINT))
 
 

@@ -13,14 +13,11 @@ _STD_OF_MEDIAN = 1.4826  # Standard deviation of a normal distribution / median 
 
 
 def std_by_median(deviations: Array, axis: int | None = None) -> Array:
-    """Estimate a standard deviation by the median absolute deviation.
+    """Estimate standard deviations, in the deviations' unit, shape () or (channels,), by the median of |deviations|.
 
     Args:
         deviations: Deviations from the center, in any unit, shape (n,) or (n, channels).
         axis: 0 for the standard deviation of each channel. Default: one of all values.
-
-    Returns:
-        Standard deviation, in the unit of the deviations, shape () or (channels,).
     """
     return _STD_OF_MEDIAN * np.median(np.abs(deviations), axis=axis)
 

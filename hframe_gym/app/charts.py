@@ -14,27 +14,12 @@ _LEFT, _RIGHT = 62, 14
 
 
 def ink(role: str, dark: bool) -> str:
-    """Return the color of a role of the pages, on a light or a dark display.
-
-    Args:
-        role: Role, see `hframe_gym.web_page.COLORS`.
-        dark: Whether the display is dark.
-
-    Returns:
-        Hexadecimal color, "#rrggbb".
-    """
+    """Return the color, "#rrggbb", of a role in `hframe_gym.web_page.COLORS`, on a light or a dark display."""
     return COLORS[role][dark]
 
 
 def height_of(count: int) -> int:
-    """Return the height of a chart of several curves, in pixels.
-
-    Args:
-        count: Number of curves.
-
-    Returns:
-        Height, pixels.
-    """
+    """Return the height of a chart of so many curves, in pixels."""
     return _TOP + count * (_PLOT + _GAP) + _BOTTOM - _GAP + 8
 
 
@@ -46,17 +31,11 @@ def curves_chart(
     intervals: Sequence[Interval] = (),
     window: tuple[float, float] | None = None,
 ) -> dict[str, Any]:
-    """Return a chart of curves, one below the other, with a common axis of times.
+    """Return the options of ECharts for curves, at least one, below each other, with a common axis of times.
 
     Args:
-        curves: Curves, at least one.
-        dark: Whether the display is dark.
-        x_name: Name of the common axis.
         intervals: Intervals to mark.
         window: Times to draw, s; None: all.
-
-    Returns:
-        Options of ECharts.
     """
     first = min(float(c.time[0]) for c in curves) if window is None else window[0]
     last = max(float(c.time[-1]) for c in curves) if window is None else window[1]
@@ -169,15 +148,7 @@ def _frame(dark: bool) -> dict[str, Any]:
 
 
 def with_zoom(options: dict[str, Any], dark: bool) -> dict[str, Any]:
-    """Add a slider that chooses the times, and the zoom by the wheel with Ctrl.
-
-    Args:
-        options: Options of a chart of curves, which are changed.
-        dark: Whether the display is dark.
-
-    Returns:
-        The same options.
-    """
+    """Add a slider of the times, and the zoom by Ctrl and wheel, to the options of a chart, and return them."""
     options["dataZoom"] = [
         {"type": "inside", "xAxisIndex": "all", "zoomOnMouseWheel": "ctrl", "filterMode": "none"},
         {
@@ -197,15 +168,7 @@ def with_zoom(options: dict[str, Any], dark: bool) -> dict[str, Any]:
 
 
 def with_selection(options: dict[str, Any], dark: bool) -> dict[str, Any]:
-    """Let the mouse select an interval of times.
-
-    Args:
-        options: Options of a chart of curves, which are changed.
-        dark: Whether the display is dark.
-
-    Returns:
-        The same options.
-    """
+    """Let the mouse select an interval of times: add it to the options of a chart of curves, and return them."""
     options["toolbox"] = {"show": False}
     options["brush"] = {
         "xAxisIndex": "all",
@@ -223,15 +186,11 @@ def with_selection(options: dict[str, Any], dark: bool) -> dict[str, Any]:
 
 
 def error_chart(errors: Sequence[tuple[float, float]], now: float, dark: bool) -> dict[str, Any]:
-    """Return a chart of the error of the best machine so far, over the processor time.
+    """Return the options of ECharts for the error of the best machine so far, over the processor time.
 
     Args:
         errors: Processor time, s, and mean squared residual in units of the noise, each time that it changed.
         now: Present processor time, s.
-        dark: Whether the display is dark.
-
-    Returns:
-        Options of ECharts.
     """
     muted, line = ink("muted", dark), ink("line", dark)
     points = [[t, max(e, 1e-3) ** 0.5] for t, e in errors]

@@ -38,11 +38,7 @@ class Progress:
     errors: list[tuple[float, float]] = field(default_factory=list)
 
     def update(self, record: dict[str, Any]) -> None:
-        """Take over a record of progress.
-
-        Args:
-            record: What the command printed.
-        """
+        """Take over a record of progress that a command has printed."""
         self.doing = str(record.get("doing") or "")
         self.spent = record.get("spent", record.get("done"))
         self.total = record.get("budget", record.get("total"))
@@ -99,11 +95,7 @@ class Job:
             interrupt(self._process)
 
     def wait(self, seconds: float | None = None) -> None:
-        """Wait for the end of the commands, at most some seconds.
-
-        Args:
-            seconds: Longest time to wait, s; None for no limit.
-        """
+        """Wait for the end of the commands, at most for some `seconds`, s; None for no limit."""
         self._thread.join(seconds)
 
     def _run(self) -> None:

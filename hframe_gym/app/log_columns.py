@@ -209,10 +209,7 @@ def _times(log: Log, sources: Sequence[ChannelSource], values: dict[str, Array])
 
 
 def run_curves(path: Path, machine: Machine) -> list[Curve]:
-    """Return the curves of an imported run.
-
-    Returns:
-        Curve of each input and output of the machine.
+    """Return a curve for each input and output of an imported run.
 
     Raises:
         InputError: If the run is faulty.
@@ -225,10 +222,7 @@ def run_curves(path: Path, machine: Machine) -> list[Curve]:
 
 
 def run_size(path: Path, machine: Machine) -> tuple[int, float]:
-    """Return the size of an imported run.
-
-    Returns:
-        Number of rows, and duration, s.
+    """Return the number of rows and the duration, s, of an imported run.
 
     Raises:
         InputError: If the run is faulty.
@@ -238,9 +232,6 @@ def run_size(path: Path, machine: Machine) -> tuple[int, float]:
 
 def simulated_outputs(path: Path, machine: Machine) -> dict[str, Array]:
     """Simulate a machine over an imported run, as `hframe simulate` does.
-
-    Args:
-        machine: Machine that was recorded, as declared.
 
     Returns:
         Simulated measurements by output channel, m or rad, shape (n,); empty if the run is long or the motion diverges.

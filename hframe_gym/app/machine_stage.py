@@ -30,12 +30,7 @@ class StageView(Element, component="stage_view.js"):
     """Plan view of a machine; with motions, it shows them."""
 
     def __init__(self, drawing: dict[str, Any], motions: list[dict[str, Any]] | None = None) -> None:
-        """Create the view.
-
-        Args:
-            drawing: Shapes, from `drawing_of`.
-            motions: Name and motion of each controller.
-        """
+        """Create the view of shapes, from `drawing_of`, and of the motions of controllers, with their names."""
         super().__init__()
         self._props["drawing"], self._props["motions"] = drawing, motions or []
 
@@ -180,11 +175,7 @@ def plausibility(machine: Machine) -> tuple[list[list[str]], list[tuple[str, str
 
 
 def parameter_rows(machine: Machine) -> list[tuple[str, str, str]]:
-    """List all parameters of a machine.
-
-    Returns:
-        Rows of name, value (with its standard deviation where it was identified), and unit.
-    """
+    """List name, value (with its standard deviation where it was identified) and unit of a machine's parameters."""
     known = machine.uncertainty
     deviations = (
         {} if known is None else dict(zip(known.names, known.covariance.diagonal() ** 0.5, strict=True))

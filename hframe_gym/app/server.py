@@ -34,13 +34,7 @@ class TokenGate:
     """
 
     def __init__(self, app: Any, token: str, port: int) -> None:
-        """Wrap an application.
-
-        Args:
-            app: Application (ASGI).
-            token: Text that requests must have.
-            port: Port of the server.
-        """
+        """Wrap an application (ASGI) on a port of the server; requests must have the token."""
         self._app, self._token, self._port = app, token, port
         self._hosts = {f"{name}:{port}" for name in (HOST, "localhost")}
 

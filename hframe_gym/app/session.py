@@ -44,11 +44,7 @@ class ImportChoices:
 
 @dataclass(frozen=True)
 class Session:
-    """Folder of a session. Its files are those of the commands, so that each can be opened without the window.
-
-    Attributes:
-        folder: The folder; `create` makes it.
-    """
+    """Folder of a session; its files are those of the commands, so that each can be opened without the window."""
 
     folder: Path
 
@@ -63,14 +59,7 @@ class Session:
         (self.folder / LOGS).mkdir(parents=True, exist_ok=True)
 
     def path(self, *parts: str) -> Path:
-        """Return the path of a file in the session.
-
-        Args:
-            parts: Names of folders and of the file.
-
-        Returns:
-            The path.
-        """
+        """Return the path of a file in the session, from the names of folders and of the file."""
         return self.folder.joinpath(*parts)
 
     @property
@@ -110,9 +99,6 @@ class Session:
         Args:
             name: Name of the file; folders in it are ignored.
 
-        Returns:
-            File in the session.
-
         Raises:
             InputError: If the name is not that of a file.
         """
@@ -127,13 +113,7 @@ class Session:
             path.unlink(missing_ok=True)
 
     def use_machine(self, content: bytes) -> Machine:
-        """Store a machine.json that the user dropped, if it is valid.
-
-        Args:
-            content: Bytes of the file.
-
-        Returns:
-            The machine.
+        """Store a machine.json that the user dropped, if it is valid, and return the machine.
 
         Raises:
             InputError: If it is faulty; the machine of the session then stays as it was.
@@ -166,23 +146,13 @@ class Session:
         return [["mkdir", f"earlier_{number}", *existing]] if existing else []
 
     def set_aside(self, folder: str, *names: str) -> None:
-        """Move files and folders of the session to a new folder of it.
-
-        Args:
-            folder: Name of the new folder.
-            names: Files and folders of the session.
-        """
+        """Move files and folders of the session to a new folder of it."""
         self.path(folder).mkdir()
         for name in names:
             self.path(name).replace(self.path(folder, name))
 
     def record(self, words: Sequence[str], exit_code: int) -> None:
-        """Append a command to the script of the session.
-
-        Args:
-            words: Words after "hframe".
-            exit_code: Exit code with which it ended; a command that failed becomes a comment.
-        """
+        """Append a command to the script of the session; one that failed becomes a comment."""
         script = self.path(SCRIPT)
         text = script.read_text(encoding="utf-8") if script.exists() else _SCRIPT_HEAD
         line = command_text(words) if exit_code == 0 else f"# exit code {exit_code}: {command_text(words)}"
@@ -190,13 +160,10 @@ class Session:
 
 
 def command_text(words: Sequence[str]) -> str:
-    """Write a command as the user would type it.
+    """Write a command, or that of `Session.aside_command`, as the user would type it, in one line.
 
     Args:
         words: Words after "hframe"; or those of `Session.aside_command`.
-
-    Returns:
-        One line.
     """
     line = " ".join(map(quoted, words))
     if words[0] != "mkdir":
@@ -205,15 +172,11 @@ def command_text(words: Sequence[str]) -> str:
 
 
 def new_machine_command(like: str, values: Mapping[str, str]) -> list[str]:
-    """Return the command that writes the machine of a session from a template.
+    """Return the words of the command that writes the machine of a session from a template, in place of an older one.
 
     Args:
-        like: Name of the template.
         values: Values by name of the option of `hframe machines new`, without dashes, or by name of a parameter such as
             "x.mass" (`--set`); empty ones are left out.
-
-    Returns:
-        Words after "hframe". The command overwrites the machine file of the session.
     """
     words = ["machines", "new", "--like", like]
     for name, value in values.items():
@@ -223,14 +186,7 @@ def new_machine_command(like: str, values: Mapping[str, str]) -> list[str]:
 
 
 def import_command(choices: ImportChoices) -> list[str]:
-    """Return the command that imports the logs of a session.
-
-    Args:
-        choices: Columns, units and cuts.
-
-    Returns:
-        Words after "hframe".
-    """
+    """Return the words of the command that imports the logs of a session."""
     words = ["import", LOGS, "--machine", MACHINE]
     for option, values in (
         ("--map", choices.columns),
@@ -252,24 +208,16 @@ def import_command(choices: ImportChoices) -> list[str]:
 
 
 def check_command() -> list[str]:
-    """Return the command that checks the runs of a session.
-
-    Returns:
-        Words after "hframe".
-    """
+    """Return the words of the command that checks the runs of a session."""
     return ["check", RUNS, "--machine", MACHINE, "--json", FINDINGS]
 
 
 def identify_command(hold_out: Sequence[str], budget: str, force: bool) -> list[str]:
-    """Return the command that identifies the machine of a session.
+    """Return the words of the command that identifies the machine of a session.
 
     Args:
         hold_out: Names of held-out runs; empty for the default.
         budget: Processor time, s, as text; empty for the default.
-        force: Whether faults in the data are ignored.
-
-    Returns:
-        Words after "hframe".
     """
     words = ["identify", RUNS, "--machine", MACHINE]
     for name in hold_out:
@@ -280,14 +228,7 @@ def identify_command(hold_out: Sequence[str], budget: str, force: bool) -> list[
 
 
 def control_folder(machine: str) -> str:
-    """Return the folder of the comparisons of controllers on a machine.
-
-    Args:
-        machine: Machine, relative to the folder of the session.
-
-    Returns:
-        Folder, relative to that of the session.
-    """
+    """Return the folder of the comparisons of controllers on a machine, both relative to the session's folder."""
     return (PurePosixPath(machine).parent / CONTROL).as_posix()
 
 

@@ -52,8 +52,6 @@ class Stage(ABC):
     """One stage of the loop in one browser tab.
 
     Attributes:
-        page: The page.
-        session: The session.
         container: Element that holds the stage.
     """
 
@@ -66,11 +64,7 @@ class Stage(ABC):
     container: Any
 
     def __init__(self, page: Tab) -> None:
-        """Create a stage.
-
-        Args:
-            page: The page that shows it.
-        """
+        """Create a stage of a page."""
         self.page, self.session = page, page.session
         self._code: Any = None
         self._output: Any = None
@@ -85,26 +79,14 @@ class Stage(ABC):
 
     @abstractmethod
     def state(self) -> State:
-        """Return whether the stage is done.
-
-        Returns:
-            "done", "problem" or, before it is done, "".
-        """
+        """Return "done" or "problem" or, before the stage is done, ""."""
 
     def commands(self) -> list[list[str]]:
-        """Return the commands of the stage, words after "hframe".
-
-        Returns:
-            Words of each command; none if the stage only shows something.
-        """
+        """Return the words after "hframe" of each command of the stage; none if it only shows something."""
         return []
 
     def missing(self) -> tuple[str, str] | None:
-        """Return what must come first: the key of a stage and a sentence; None if nothing is missing.
-
-        Returns:
-            Key of the stage, and why it is needed.
-        """
+        """Return the key of a stage that must come first and a sentence why; None if nothing is missing."""
         return None
 
     def opened(self) -> None:  # noqa: B027
@@ -250,12 +232,7 @@ class Stage(ABC):
 
 
 def banner(tone: Literal["good", "neutral", "warning"], title: str, text: str) -> None:
-    """Show a sentence with a colored edge.
-
-    Args:
-        tone: Color.
-        title: First words, in this color; may be empty.
-    """
+    """Show a sentence with a colored edge; its first words, the title, have this color and may be empty."""
     strong = f"<b>{html.escape(title)}</b> " if title else ""
     ui.html(strong + html.escape(text), sanitize=False).classes(f"hf-banner hf-{tone}").props("role=status")
 
@@ -266,13 +243,7 @@ def heading(text: str) -> None:
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]], numbers: Sequence[int] = ()) -> None:
-    """Show a table of texts.
-
-    Args:
-        head: Titles of the columns.
-        rows: Cells of each row.
-        numbers: Indices of the columns whose cells are aligned at the right.
-    """
+    """Show a table of texts; `numbers` are the indices of the columns whose cells are aligned at the right."""
 
     def cells(tag: str, texts: Sequence[str]) -> str:
         parts = (

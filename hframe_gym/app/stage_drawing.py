@@ -91,10 +91,7 @@ def _limits(geometry: StageGeometry, shapes: list[dict[str, Any]]) -> list[float
 
 
 def read_motions(path: Path, machine: Machine) -> list[dict[str, Any]]:
-    """Read the motions that `hframe evaluate --motions` wrote, in as many frames as a display shows.
-
-    Args:
-        path: File of a controller.
+    """Read a controller's motions that `hframe evaluate --motions` wrote, in as many frames as a display shows.
 
     Returns:
         For each episode: period of the frames, s; lists of the points (x, y), m, at which tool and goal are drawn, of

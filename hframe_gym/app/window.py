@@ -35,11 +35,7 @@ _FILLED = ("#0b69c7", "#1f6fc4")
 
 
 def style_sheet() -> str:
-    """Return the style sheet of the page, with the colors of reports.
-
-    Returns:
-        Text of the style sheet.
-    """
+    """Return the text of the page's style sheet, with the colors of reports."""
     light, dark = (
         "".join(f"--{role}: {pair[k]};" for role, pair in COLORS.items()) + f"--filled: {_FILLED[k]};"
         for k in (0, 1)
@@ -50,12 +46,7 @@ def style_sheet() -> str:
 
 
 class Window:
-    """The window of a session; every browser tab shows the same session and jobs.
-
-    Attributes:
-        session: The session.
-        jobs: The last job of each stage, by its key.
-    """
+    """The window of a session; every browser tab shows the same session and the last job of each stage, by its key."""
 
     def __init__(self, session: Session) -> None:
         """Create the window."""
@@ -89,18 +80,11 @@ class Page:
     """The stages in one browser tab.
 
     Attributes:
-        window: The window.
-        session: The session.
-        dark: Whether the display is dark.
         stages: The stages by their keys.
     """
 
     def __init__(self, window: Window, *, dark: bool) -> None:
-        """Create the stages.
-
-        Args:
-            dark: Whether the display is dark.
-        """
+        """Create the stages."""
         self.window, self.session, self.dark = window, window.session, dark
         self.stages: dict[str, Stage] = {kind.key: kind(self) for kind in _STAGES}
         self._tabs: dict[str, Any] = {}
@@ -131,11 +115,7 @@ class Page:
         return next((key for key, stage in self.stages.items() if stage.state() != "done"), "machine")
 
     def go(self, key: str) -> None:
-        """Show a stage.
-
-        Args:
-            key: Key of the stage.
-        """
+        """Show the stage with a key."""
         self._bar.set_value(key)
 
     def changed(self) -> None:

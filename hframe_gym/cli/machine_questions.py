@@ -71,8 +71,6 @@ def create_machine_file(answers: MachineAnswers, force: bool, log: Callable[[str
 
     Args:
         answers: Values of the command's options, empty or None where not given.
-        force: Whether an existing file is replaced.
-        log: Called with a line of text for the user.
 
     Raises:
         InputError: If a value is wrong, the file exists and `force` is False, or template or file is missing and there
@@ -126,7 +124,6 @@ def ask(answers: MachineAnswers, log: Callable[[str], None], force: bool = False
 
     Args:
         answers: Values of the command's options, empty or None where not given.
-        log: Called with a line of text for the user.
         force: Whether the name of an existing file is accepted.
 
     Raises:

@@ -75,9 +75,6 @@ def identification_table(report: Mapping[str, Any], channels: Sequence[str]) -> 
 def effect_lines(report: Mapping[str, Any]) -> list[str]:
     """Describe the identified effects with their parameters, one line each, those with the largest gain first.
 
-    Args:
-        report: Contents of report.json, the file that `hframe identify` writes.
-
     Returns:
         Lines such as "stribeck friction at x: dF = 2.8393 +- 0.0004 N, vs = 0.040011 +- 9.7e-06 m/s". Of a table, only
         the number of its points.
@@ -185,9 +182,6 @@ def _path_cells(score: Mapping[str, Any], unit: AxisUnit) -> list[str]:
 
 def protocol_tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:
     """Format the results of controllers in a protocol, one of the fixed benchmarks of the leaderboard.
-
-    Args:
-        results: Contents of the result files that `hframe evaluate --protocol` writes, one per controller.
 
     Returns:
         One table (rich) per task of the protocol, with one row per controller. For moves to a goal: the fractions

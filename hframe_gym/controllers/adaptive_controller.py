@@ -308,12 +308,7 @@ class MomentumFilter:
 
 
 def scaled_machine(machine: Machine, stiffness_ratio: float, mass_ratio: float) -> Machine:
-    """Return a copy of a machine whose belt stiffnesses EA and masses (inertias) are multiplied by factors.
-
-    Args:
-        stiffness_ratio: Factor on the tensile stiffness EA of all belts, dimensionless.
-        mass_ratio: Factor on the masses of all coordinates, dimensionless.
-    """
+    """Return a machine with all EA times `stiffness_ratio` and all masses times `mass_ratio`, dimensionless."""
     factors = {"EA": stiffness_ratio, "mass": mass_ratio}
     values = machine.parameters.items()
     kinds = {name: name.rpartition(".")[2] for name in machine.parameters}

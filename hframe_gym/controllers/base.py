@@ -38,14 +38,7 @@ SIMULATION_STEP_S = 5e-4
 
 
 def check_period(period: float) -> float:
-    """Check that a control period lies between 1e-5 s and 10 s, the limits of the design, and return it, s.
-
-    Args:
-        period: Control period, s.
-
-    Raises:
-        InputError: If it is not.
-    """
+    """Return the control `period`, s; an InputError refuses one outside 1e-5 s to 10 s, the limits of the design."""
     if not SHORTEST_PERIOD <= period <= LONGEST_PERIOD:
         limits = f"{SHORTEST_PERIOD:g} to {LONGEST_PERIOD:g} s"
         raise InputError(f"period is {period!r}, it must be a positive number of seconds from {limits}")
@@ -85,11 +78,7 @@ class Controller(ABC):
         """Compute the actions for the control period that starts now; call it once per period."""
 
     def reset(self, mask: Mask | None = None) -> None:  # noqa: B027  (optional)
-        """Clear the memory of the machines that start a new episode with their next observation.
-
-        Args:
-            mask: The machines to reset. None: all; their number may then change.
-        """
+        """Clear the memory of machines that start a new episode next; None: of all, whose number may then change."""
 
     def concern(self) -> str | None:
         """Return a sentence for a warning if this controller cannot be expected to work on its machine."""
@@ -225,32 +214,20 @@ class UnitCheck:
 
 
 class EpisodeStarts:
-    """Record which machines start a new episode with their next observation.
-
-    Attributes:
-        mask: These machines; empty before the first call of `resize`.
-    """
+    """Record by `mask`, empty before the first `resize`, which machines start a new episode next."""
 
     def __init__(self) -> None:
         self.mask: Mask = np.zeros(0, np.bool_)
 
     def reset(self, mask: Mask | None = None) -> None:
-        """Mark machines as starting a new episode with their next observation; machines marked earlier stay marked.
-
-        Args:
-            mask: The machines to mark. None: all; the next `resize` may then change their number.
-        """
+        """Mark machines, or all if None, as starting a new episode next; those marked earlier stay marked."""
         if mask is None:
             self.mask = np.zeros(0, np.bool_)  # so that the next `resize` marks all machines
         elif len(self.mask):
             self.mask = self.mask | mask
 
     def resize(self, count: int) -> bool:
-        """Set the number of machines; if it changes, mark all machines as starting a new episode.
-
-        Returns:
-            True if the number has changed; the caller must then reallocate its arrays that have one row per machine.
-        """
+        """Set the number of machines; if it changes, mark all as starting a new episode, and return True."""
         if len(self.mask) == count:
             return False
         self.mask = np.ones(count, np.bool_)
@@ -318,11 +295,7 @@ class Estimator(Protocol):
         """Discard the estimates of the machines in the mask (None: all), which start a new episode."""
 
     def update(self, measurements: Array) -> TravelStates:
-        """Estimate the state at the time of new measurements.
-
-        Args:
-            measurements: One measurement per sensor, m or rad, shape (B, channels).
-        """
+        """Estimate the state at the time of new `measurements`, one per sensor, m or rad, shape (B, channels)."""
 
     def send(self, volts: Volts) -> None:
         """Record the commanded voltages of the period that starts now, from which `update` predicts."""

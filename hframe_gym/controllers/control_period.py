@@ -12,15 +12,10 @@ SAMPLES_PER_MODE = 4.0
 
 
 def shorter_period(machine: Machine, period: float) -> float | None:
-    """Suggest a shorter control period if all vibrations of a machine on its belts are above half the control rate.
+    """Suggest a shorter control period, s, if all vibrations of a machine on its belts are above half the control rate.
 
-    A sampled controller cannot observe or damp a vibration above half its rate (Nyquist frequency).
-
-    Args:
-        period: Control period, s.
-
-    Returns:
-        Control period, s: 1, 2 or 5 times a power of ten. None if `period` suffices or no belt vibrates.
+    It is 1, 2 or 5 times a power of ten. A sampled controller cannot observe or damp a vibration above half its rate
+    (Nyquist frequency). None if the `period`, s, suffices or no belt vibrates.
     """
     slowest = _slowest_mode(machine)
     if slowest is None or slowest <= 0.5 / period:
@@ -31,11 +26,7 @@ def shorter_period(machine: Machine, period: float) -> float | None:
 
 
 def period_concern(machine: Machine, period: float) -> str | None:
-    """Return a warning with the period that `shorter_period` suggests, or None if it suggests none.
-
-    Args:
-        period: Control period, s.
-    """
+    """Return a warning with what `shorter_period` suggests in place of `period`, s; None if nothing."""
     shorter, slowest = shorter_period(machine, period), _slowest_mode(machine)
     if shorter is None:
         return None

@@ -17,20 +17,13 @@ class Format(Protocol):
     """Form of an environment's observations; `ObservationFormat` of hframe_gym.envs implements it."""
 
     def restore(self, observation: Any) -> dict[str, NDArray[np.float32]]:
-        """Convert observations of n environments, as these return them, to arrays by key in SI units.
-
-        Returns:
-            Arrays by key, m, rad, m/s and rad/s, shape (n, entries of the key).
-        """
+        """Convert n observations to arrays by key, m, rad, m/s and rad/s, shape (n, entries of the key)."""
 
 
 class EnvironmentController(Controller):
     """Controller that reads the observations of one environment, or of a vector of them, as they are returned.
 
     It undoes the options `normalize`, `flat` and `error`. An observation without batch axis is that of one machine.
-
-    Args:
-        form: Form of the observations.
     """
 
     feedback: ClassVar[Feedback] = "observation"

@@ -228,12 +228,7 @@ class PredictiveController(FullStateController):
 
 
 class _PathPlanner:
-    """Planner of the motion along a previewed path for B machines with different parameters.
-
-    Args:
-        period: Control period, s.
-        horizon: Number of previewed goals, H.
-    """
+    """Planner of the motion along a previewed path for B machines with different parameters."""
 
     def __init__(
         self, linear: LinearMotion, grid: OperatingPointGrid, model: MotionModel, period: float, horizon: int

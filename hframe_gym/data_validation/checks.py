@@ -57,10 +57,6 @@ def check_recordings(recordings: Sequence[Recording], machine: Machine) -> list[
     excitation, and the precision with which parameters can be estimated. If the times of a run appear to be in
     milliseconds, only this is reported.
 
-    Args:
-        recordings: Runs of the machine, at least one.
-        machine: Machine as declared, before identification.
-
     Returns:
         Findings (severity, run, channel, message) sorted by severity: faults first, then advice, then notes.
     """
@@ -97,10 +93,6 @@ def check_before_fit(recordings: Sequence[Recording], machine: Machine) -> list[
     the data: clock, slow sensors, wraps, outliers, motion without input, inputs that never change or are logged late,
     stuck or clipped outputs, wiring (signs, swapped channels, units, gear ratios), and speeds that contradict
     positions. It does not check whether the excitation suffices.
-
-    Args:
-        recordings: Runs of the machine, at least one.
-        machine: Machine as declared, before identification.
 
     Returns:
         Findings (severity, run, channel, message): first those of severity "fault", which make a fit meaningless, then

@@ -65,9 +65,7 @@ def check_excitation(recordings: Sequence[Recording], data: Dataset, machine: Ma
     to the lowest natural frequency of the belts.
 
     Args:
-        recordings: Runs of the machine.
         data: The same runs, prepared for a fit by `identification.prepare`.
-        machine: Declared machine.
 
     Returns:
         Findings (severity, run, channel, message): "advice" where the excitation is insufficient, or exceeds the rated
@@ -86,13 +84,6 @@ def constant_inputs(recordings: Sequence[Recording], machine: Machine) -> list[F
 
     An input that is zero throughout a run is not reported if it changes in another run, because runs in which a drive
     is off are useful.
-
-    Args:
-        recordings: Runs as recorded.
-        machine: Declared machine, which names the input channels.
-
-    Returns:
-        One finding of severity "advice" for each run and each input channel that is reported.
     """
     used = np.any([np.ptp(recording.inputs, axis=0) > 0.0 for recording in recordings], axis=0)
     return [

@@ -51,10 +51,6 @@ class Finding:
 def channel_unit(channel: str, machine: Machine) -> str:
     """Return the unit of a channel, which the end of its name gives, such as V in "v1_V".
 
-    Args:
-        channel: Name of an input or output channel of the machine, for example "v1_V".
-        machine: Declared machine.
-
     Returns:
         For an input, "A" or "Nm" if its name ends with this unit, otherwise "V". For an output of a position, "m" or
         "rad" if its name ends with this unit, otherwise the unit of the sensor.
@@ -74,8 +70,6 @@ def command_in_words(value: float, drive: Drive, machine: Machine) -> str:
 
     Args:
         value: Command as in `Recording.inputs`, in the unit of simulations: V, A, Nm, or that of a set point.
-        drive: Drive of the machine.
-        machine: Declared machine.
 
     Returns:
         Number and unit, such as "3 V". A duty cycle, which is a voltage in simulations, is stated as a fraction of the
@@ -92,9 +86,6 @@ def group_findings(findings: Sequence[Finding]) -> list[Finding]:
 
     Findings belong to one group if severity, channel and message are equal; numbers in the message may differ. Findings
     about all runs together (`run` is "") are merged only if their messages are identical.
-
-    Args:
-        findings: Findings (severity, run, channel, message) in any order.
 
     Returns:
         The first finding of each group, in the order of first occurrence. Its `run` names the first run and the number
@@ -117,9 +108,6 @@ def print_findings(findings: Sequence[Finding], console: Console) -> None:
 
     `group_findings` merges equal findings of several runs first. A terminal shows a table, other output one line of
     text per finding.
-
-    Args:
-        findings: Findings (severity, run, channel, message) in the order of printing.
     """
     groups = group_findings(findings)
     plurals = {"fault": "faults", "advice": "advice", "note": "notes"}
@@ -139,10 +127,9 @@ def print_findings(findings: Sequence[Finding], console: Console) -> None:
 
 
 def refuse_faults(findings: Sequence[Finding], folder: Path) -> None:
-    """Raise an error that lists the faults found in recordings, if there are any.
+    """Raise an error that lists the faults among findings, if there are any.
 
     Args:
-        findings: Findings (severity, run, channel, message) of any severity.
         folder: Folder of the recordings, for the message.
 
     Raises:
@@ -162,14 +149,6 @@ def refuse_faults(findings: Sequence[Finding], folder: Path) -> None:
 
 
 def write_findings(findings: Sequence[Finding], path: Path) -> None:
-    """Write findings as JSON: `{"schema": 1, "findings": [{"severity", "run", "channel", "message"}, ...]}`.
-
-    Args:
-        findings: Findings in the order of writing.
-        path: File to write; it appears complete or not at all.
-
-    Raises:
-        OSError: If the file cannot be written.
-    """
+    """Write findings as JSON: `{"schema": 1, "findings": [{"severity", "run", "channel", "message"}, ...]}`."""
     content = {"schema": _SCHEMA_VERSION, "findings": [asdict(f) for f in findings]}
     write_text(path, json.dumps(content, indent=1) + "\n")

@@ -99,7 +99,6 @@ def check_parameters(data: Dataset, machine: Machine) -> list[Finding]:
 
     Args:
         data: Runs in which the machine moves, with initial states and noise.
-        machine: Declared machine.
 
     Returns:
         One finding (severity, channel, message) per parameter or sum: advice if its relative standard deviation exceeds

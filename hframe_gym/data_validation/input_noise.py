@@ -13,16 +13,9 @@ from .findings import Finding, channel_unit
 
 
 def check_input_noise(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
-    """Report inputs that change from row to row like noise, where the input is a current or a torque.
+    """Report each input of a run that changes from row to row like noise, where it is a current or a torque: advice.
 
     Voltages are commands as a rule, and a command may be random by intention.
-
-    Args:
-        recordings: Runs as recorded.
-        machine: Declared machine, which names the input channels.
-
-    Returns:
-        One finding of severity "advice" for each run and each input channel with much noise.
     """
     findings = []
     for recording in recordings:

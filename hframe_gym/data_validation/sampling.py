@@ -55,15 +55,9 @@ _OWN_ROW = 0.1  # fraction of what previous rows do not predict that the own row
 
 
 def times_in_milliseconds(recordings: Sequence[Recording]) -> list[Finding]:
-    """Report runs whose times are probably in milliseconds instead of seconds.
+    """Report runs whose times are probably in milliseconds instead of seconds: one fault for each.
 
     A median time step of at least 0.2 s would be too long to record the motion of a machine.
-
-    Args:
-        recordings: Runs of a machine (times, s).
-
-    Returns:
-        One finding of severity "fault" for each such run.
     """
     periods = {r.name: float(np.median(np.diff(r.time_s))) for r in recordings if len(r.time_s) > 1}
     advice = "is it in milliseconds? Convert it: hframe import FILE --unit time_s=ms --out RUNS"
@@ -76,9 +70,6 @@ def times_in_milliseconds(recordings: Sequence[Recording]) -> list[Finding]:
 
 def check_sampling(recording: Recording) -> list[Finding]:
     """Check number of rows, gaps, duration and jitter of the sample times of one run.
-
-    Args:
-        recording: Run of n rows (times, s, shape (n,)).
 
     Returns:
         Findings (severity, run, channel, message). Fewer rows than identification needs (20) are a fault. Lost samples,
@@ -141,14 +132,7 @@ def _late_stamps(time_s: Array, gaps: NDArray[np.bool_]) -> bool:
 
 
 def sampling_rate(recordings: Sequence[Recording]) -> Finding:
-    """Report number, total duration and sampling rate of the runs.
-
-    Args:
-        recordings: Runs of a machine (times, s).
-
-    Returns:
-        One finding of severity "note" about all runs.
-    """
+    """Report number, total duration and sampling rate of the runs, in one note."""
     periods = [float(np.median(np.diff(r.time_s))) for r in recordings if len(r.time_s) > 1]
     seconds = sum(float(r.time_s[-1] - r.time_s[0]) for r in recordings)
     low, high = min(periods, default=np.nan), max(periods, default=np.nan)
@@ -159,15 +143,9 @@ def sampling_rate(recordings: Sequence[Recording]) -> Finding:
 
 
 def overlapping_clocks(recordings: Sequence[Recording]) -> list[Finding]:
-    """Report that the times of runs overlap, which shows that the clock restarted with each run.
+    """Report, in one note, that the times of runs overlap, which shows that the clock restarted with each run.
 
     Identification can find a drift (a slow change from run to run) only if all runs have a common clock.
-
-    Args:
-        recordings: Runs of a machine (times, s).
-
-    Returns:
-        One finding of severity "note" about all runs if the times of any two overlap, otherwise an empty list.
     """
     ordered = sorted(recordings, key=lambda recording: recording.time_s[0])
     overlapping = [b.name for a, b in pairwise(ordered) if b.time_s[0] < a.time_s[-1]]
@@ -181,14 +159,7 @@ def overlapping_clocks(recordings: Sequence[Recording]) -> list[Finding]:
 
 
 def slow_sensors(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
-    """Report channels whose sensor measures less often than a row is logged, so that rows repeat a measurement.
-
-    Args:
-        recordings: Runs of the machine (times, s; measurements, m or rad).
-
-    Returns:
-        One finding of severity "advice" for each such channel.
-    """
+    """Report channels whose sensor measures less often than a row is logged, so that rows repeat a measurement."""
     findings = []
     for j, channel in enumerate(machine.output_channels):
         counts = {r.name: count for r in recordings if (count := repetitions(r.outputs[:, j])) > 1.0}
@@ -255,10 +226,6 @@ def check_input_timing(data: Dataset, machine: Machine) -> list[Finding]:
 
 def check_voltages_between_rows(data: Dataset, machine: Machine) -> list[Finding]:
     """Report voltages that change between the rows, because the controller is faster than the log.
-
-    Args:
-        data: Runs in which the machine moves, without other faults.
-        machine: Declared machine.
 
     Returns:
         One finding of severity "advice" about all runs together, or none; see `voltage_updates`. None as well if all

@@ -61,13 +61,6 @@ def check_scales(data: Dataset, machine: Machine) -> list[Finding]:
 
     For units, measured speeds are compared with those of a simulation with the recorded voltages; for gear ratios,
     encoders with other sensors; for times, fitted inertia and friction with the declared ones.
-
-    Args:
-        data: Runs in which the machine moves, with initial states and zeros; at least one.
-        machine: Declared machine.
-
-    Returns:
-        Findings (severity, run, channel, message) about all runs together.
     """
     balance = declared_balance(data, machine)
     clock = _clock(data, balance)

@@ -24,15 +24,7 @@ _CORRELATION = 0.9  # below it, something else than a factor is wrong, or the mo
 
 
 def check_speeds(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
-    """Compare the sensors of speeds that have a sign with the speeds at which the positions change.
-
-    Args:
-        recordings: Runs in which the machine moves, without outliers.
-        machine: Declared machine.
-
-    Returns:
-        A finding of severity "fault" for each sensor of speeds that measures another multiple than 1.
-    """
+    """Report sensors of speeds with a sign that measure a multiple of the speeds at which positions change: faults."""
     speeds = [j for j, sensor in enumerate(machine.sensors) if sensor.of_velocity]
     positions = machine.position_sensors
     if not speeds or not positions.any():

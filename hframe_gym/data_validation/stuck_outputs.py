@@ -45,7 +45,6 @@ def stuck_outputs(recordings: Sequence[Recording], machine: Machine) -> list[Fin
     runs, because it may have reached the end of its range. Identification leaves out measurements at such an end.
 
     Args:
-        recordings: Runs in which the machine moves.
         machine: Declared machine.
 
     Returns:

@@ -103,13 +103,6 @@ def check_wiring(data: Dataset, machine: Machine) -> list[Finding]:
 
     The force of the drives is compared with the one that the motion requires, over all runs together. If this gives no
     fault, each single run is checked as well.
-
-    Args:
-        data: Runs in which the machine moves, with initial states and zeros; at least one.
-        machine: Declared machine.
-
-    Returns:
-        Findings (severity, run, channel, message) about all runs together, and faults of single runs.
     """
     findings = _signs_and_swaps(data.runs, machine)
     if any(finding.severity == "fault" for finding in findings):
@@ -121,15 +114,7 @@ def check_wiring(data: Dataset, machine: Machine) -> list[Finding]:
 
 
 def declared_balance(data: Dataset, machine: Machine) -> Balance | None:
-    """Return the balance of forces of the declared wiring, in the window that explains the motion best.
-
-    Args:
-        data: Runs in which the machine moves.
-        machine: Declared machine.
-
-    Returns:
-        The balance; None if the sensors determine no motion.
-    """
+    """Return the declared wiring's balance of forces in the window that explains most; None if there is no motion."""
     declared, _ = _explanations(data.runs, machine)
     return declared.balance if declared else None
 

@@ -75,23 +75,12 @@ class Stage(ABC, Generic[Tensor]):
         self._tool = tool_terms(machine) if machine.tool_axes else None
 
     def check_library(self) -> None:
-        """Check that the library computes in float64; the constructor calls it first.
-
-        Raises:
-            InputError: If it does not.
-        """
+        """Check that the library computes in float64, else raise an InputError; the constructor calls it first."""
 
     @staticmethod
     @abstractmethod
     def from_numpy(values: Array) -> Tensor:
-        """Convert an array of NumPy to one of the library.
-
-        Args:
-            values: Array of any shape.
-
-        Returns:
-            Array of the same shape and values.
-        """
+        """Convert `values` of NumPy, of any shape, to an array of the library."""
 
     @abstractmethod
     def rollout(self, start: Tensor, voltages: Tensor, parameters: Tensor | None = None) -> Tensor:
@@ -112,14 +101,10 @@ class Stage(ABC, Generic[Tensor]):
         """
 
     def rest(self, tool: ArrayLike | None = None, *, batch: int = 1) -> Tensor:
-        """Return states at rest with unstretched belts.
+        """Return `batch` states at rest with unstretched belts, SI, shape (B, S).
 
         Args:
             tool: Positions of the linear coordinates, m, shape (B, linear coordinates); default: all at 0.
-            batch: Number B of states if `tool` is not given.
-
-        Returns:
-            States, SI, shape (B, S).
         """
         if tool is None:
             rows = [rest_state(self.machine)] * batch
@@ -130,13 +115,7 @@ class Stage(ABC, Generic[Tensor]):
         return self.from_numpy(states)
 
     def column(self, name: str) -> int:
-        """Return the index of a parameter.
-
-        Args:
-            name: Full name, for example "x.mass".
-
-        Returns:
-            Index in `parameter_names`.
+        """Return the index in `parameter_names` of a parameter, for example of "x.mass".
 
         Raises:
             InputError: If the machine has no such free parameter.
@@ -150,13 +129,10 @@ class Stage(ABC, Generic[Tensor]):
         return self.parameter_names.index(name)
 
     def with_end_stops(self, parameters: Array) -> Array:
-        """Append the parameters of the end stops, if the stage has some, to those of the machine.
+        """Return the parameters of the simulated machines, SI, shape (B, P or more): with end stops, theirs follow.
 
         Args:
             parameters: Parameters of the machines, SI, shape (B, P).
-
-        Returns:
-            Parameters of the simulated machines, SI, shape (B, P or more).
         """
         return self._stops.parameters(parameters) if self._stops else parameters
 
@@ -167,13 +143,7 @@ class Stage(ABC, Generic[Tensor]):
         parameters: Sequence[int],
         earlier: Sequence[int] | None,
     ) -> None:
-        """Check that the shapes of the arguments of a simulation fit the machine and each other.
-
-        Args:
-            start: Shape of the first states.
-            voltages: Shape of the voltages.
-            parameters: Shape of the parameters.
-            earlier: Shape of the voltages of earlier periods, if there are some.
+        """Raise an InputError if the shapes of the arguments of a simulation do not fit the machine and each other.
 
         Raises:
             InputError: If a shape does not fit.
@@ -201,14 +171,7 @@ class Stage(ABC, Generic[Tensor]):
                 )
 
     def check_finite(self, states: Array) -> None:
-        """Check that motions stay finite.
-
-        Args:
-            states: States, SI, shape (B, T + 1, S).
-
-        Raises:
-            NotFiniteError: If a motion diverges; the message names time and coordinate.
-        """
+        """Raise a NotFiniteError with time and coordinate if `states`, SI, shape (B, T + 1, S), are not finite."""
         diverged = ~(np.abs(states) < DIVERGED)
         if diverged.any():
             b, k, entry = map(int, np.argwhere(diverged)[0])

@@ -121,27 +121,18 @@ class DifferentiableStage(Stage[torch.Tensor]):
         return states[:, 1]
 
     def readings(self, states: Tensor, parameters: Tensor | None = None) -> Tensor:
-        """Compute the readings of the sensors, without noise and without the delay of a sensor.
+        """Compute readings, in the sensors' units, shape (B, n, sensors), without noise and delay of sensors.
 
         Args:
             states: States, SI, shape (B, n, S).
             parameters: Parameters, SI, shape (P,) or (B, P). Default: those of the machine.
-
-        Returns:
-            Readings, in the sensors' units, shape (B, n, sensors).
         """
         values = self._parameters_or_nominal(parameters, len(states))
         result: Tensor = _readings(states.double(), values.double(), self)
         return result
 
     def tool_positions(self, states: Tensor) -> Tensor:
-        """Return the positions of the tool.
-
-        Args:
-            states: States, SI, shape (..., S).
-
-        Returns:
-            Positions, m, shape (..., axes).
+        """Return the positions of the tool, m, shape (..., axes), in `states`, SI, shape (..., S).
 
         Raises:
             InputError: If the machine declares no tool axes.

@@ -92,13 +92,11 @@ class DifferentiableMotion:
     `hframe_gym.differentiable` makes these functions differentiable functions of torch and of JAX.
 
     Args:
-        machine: Machine; it gives the equations of motion.
         period: Length of a period, s.
         longest_step: Largest step of the integrator, s.
         friction: Derivative at the corner of friction: "exact", "smoothed" or "sliding" (see `Friction`).
 
     Attributes:
-        machine: As given.
         period: As given, s.
         step: Step of the integrator, s.
 
@@ -330,13 +328,9 @@ class DifferentiableMotion:
         return by_states, of_parameters
 
     def travel_per_unit(self, parameters: Array) -> Array:
-        """Return the belt travel per position of each coordinate: the radius of a pulley.
+        """Return the radius of each pulley, m/rad, or 1 for a linear coordinate, for `parameters`, SI, shape (B, P).
 
-        Args:
-            parameters: Parameters, SI, shape (B, P).
-
-        Returns:
-            Radius of a pulley, m/rad, or 1 for a linear coordinate, shape (B, coordinates).
+        The shape is (B, coordinates); it is the belt travel per position.
         """
         units = np.ones((len(parameters), self._count))
         for i, (column, factor) in self._radii.items():

@@ -29,7 +29,6 @@ def belt_states(
     """Return extension, stiffness and tension of each belt along a motion, in the machine's order.
 
     Args:
-        machine: Machine; its effects on belts are included.
         positions: Positions, m or rad, shape (..., coordinates).
         velocities: Velocities, m/s or rad/s, of the same shape. Default: at rest.
 
@@ -45,7 +44,6 @@ def belt_forces(machine: Machine, positions: ArrayLike, velocities: ArrayLike | 
     """Return the force of the belts on each coordinate along a motion, N or Nm, shape (..., coordinates).
 
     Args:
-        machine: Machine; its effects on belts are included.
         positions: Positions, m or rad, shape (..., coordinates).
         velocities: Velocities, m/s or rad/s, of the same shape. Default: at rest.
     """

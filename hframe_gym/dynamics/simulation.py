@@ -35,12 +35,9 @@ class NotFiniteError(ArithmeticError):
 
 
 def threads() -> int:
-    """Return the number of threads over which the simulation of a batch of machines is distributed.
+    """Return the number of threads over which a batch is simulated: `$HFRAME_THREADS`, or the cores of this process.
 
     It is `$HFRAME_THREADS` if that is set, else the number of cores that this process may use.
-
-    Raises:
-        InputError: If `$HFRAME_THREADS` is not an integer.
     """
     explicit = os.environ.get("HFRAME_THREADS")
     if not explicit:

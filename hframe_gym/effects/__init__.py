@@ -47,11 +47,7 @@ def register_effect(effect: Effect) -> Effect:
 
 
 def unregister_effect(name: str) -> None:
-    """Remove an effect from `EFFECTS` until the end of the process.
-
-    Raises:
-        KeyError: If no effect of this name is registered.
-    """
+    """Remove an effect from `EFFECTS` until the end of the process; a KeyError if there is none of this name."""
     del _REGISTERED[name]
 
 

@@ -38,14 +38,11 @@ def _parameter_values(machine: Machine, name: str, values: Array) -> Array:
 
 
 def units_per_travel(machine: Machine, values: Array) -> Array:
-    """Compute the factors from belt travel (m) to the units of the coordinates (m or rad).
+    """Compute the factors from belt travel, m, to coordinates: 1, or 1 / radius, rad/m, shape (k, coordinates).
 
     Args:
         values: Parameters of k machines, SI, shape (k, N). The first columns are `machine.parameters` in their order;
             further columns are ignored.
-
-    Returns:
-        1 for a linear coordinate, 1 / radius in rad/m for a rotary one; shape (k, coordinates).
     """
     units = np.ones((len(values), len(machine.coordinates)))
     for i, c in enumerate(machine.coordinates):
@@ -230,11 +227,7 @@ class BatchedSimulator:
     # -- reading ---------------------------------------------------------------------------------------------------
 
     def tool_positions(self, first: int = 0, last: int | None = None) -> Array:
-        """Compute the true tool positions of the k machines in blocks first to last - 1, m, shape (k, axes).
-
-        Args:
-            last: Index after the last block. Default: all blocks from `first` on.
-        """
+        """Compute the true tool positions in blocks `first` to `last` - 1 (None: all), m, shape (k, axes)."""
         last = self.blocks if last is None else last
         positions = np.empty((min(last * LANES, self.count) - first * LANES, len(self._tool_terms)))
         write_tool_positions(self.state, self.units_per_travel, self._tool_terms, first, positions)

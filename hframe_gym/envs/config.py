@@ -138,11 +138,7 @@ class EnvConfig:
 def check_keywords(
     constructor: str, options: dict[str, Any], others: tuple[str, ...] = ("render_mode",)
 ) -> None:
-    """Check that every keyword given to an environment is an option of `EnvConfig` or one of `others`.
-
-    Raises:
-        TypeError: If a keyword is unknown; the message suggests a similar one and lists all valid keywords.
-    """
+    """Raise a TypeError, with a similar name and all valid ones, for an option that an environment does not have."""
     names = [field.name for field in dataclasses.fields(EnvConfig)]
     for keyword in options:
         if keyword not in names:
@@ -155,22 +151,14 @@ def check_keywords(
 
 
 def check_render_mode(mode: str | None, modes: Sequence[str]) -> str | None:
-    """Return a render mode (None: no rendering) after checking that the environment supports it.
-
-    Raises:
-        InputError: If `mode` is neither None nor in `modes`.
-    """
+    """Return a render mode (None: no rendering); an InputError refuses one that the environment does not support."""
     if mode is not None and mode not in modes:
         raise InputError(f"render_mode is {mode!r}; choose one of {', '.join(modes)} or None")
     return mode
 
 
 def as_machine(machine: MachineLike) -> Machine:
-    """Convert the environment option `machine` (object, preset name or path of a machine.json) to a `Machine`.
-
-    Raises:
-        InputError: If no preset or file has this name, or the file is invalid.
-    """
+    """Return the machine of the environment option `machine`; an InputError refuses unknown names, invalid files."""
     if isinstance(machine, Machine):
         return machine
     from ..recordings import load_machine  # pydantic takes long to import and a Machine does not need it

@@ -47,16 +47,13 @@ class Distribution(Protocol):
         """
 
     def quantile(self, u: Array) -> Array:
-        """Compute the quantiles of the probabilities u: a sample is below quantile i with the probability u[i].
+        """Compute quantiles, in the arguments' unit, shape (k,): a sample is below number i with probability u[i].
 
         If u are uniform random numbers, the quantiles are random samples. Entry i must depend on u[i] only, so that an
         environment gets exactly the same sample in a batch of any size.
 
         Args:
             u: Probabilities in (0, 1), shape (k,).
-
-        Returns:
-            Quantiles, in the unit of the distribution's arguments, shape (k,).
         """
 
 
@@ -312,10 +309,5 @@ def _as_rule(entry: object) -> Rule:
 
 
 def matching(names: Sequence[str], rule: RandomizeParameter) -> list[int]:
-    """Find the parameters whose names match the pattern of a rule; return their indices, ascending.
-
-    Args:
-        names: Full names of parameters, for example "x.mass".
-        rule: Rule whose `parameter` is a name or a pattern with *, ? and [...], as in file names; case-sensitive.
-    """
+    """Return the ascending indices of the names that match the pattern of a rule, case-sensitive, as in file names."""
     return [i for i, name in enumerate(names) if fnmatchcase(name, rule.parameter)]

@@ -186,12 +186,7 @@ class EnvironmentBatch:
     # -- step ------------------------------------------------------------------------------------------------------
 
     def check_actions(self, actions: Any) -> NDArray[Any]:
-        """Check that `reset` was called, and check and convert actions, shape (count, drives).
-
-        Raises:
-            ValueError: If actions are not numbers, have another shape, or an entry is not finite.
-            gymnasium.error.ResetNeeded: If `reset` was not called before.
-        """
+        """Check that `reset` was called, and check and convert actions, shape (count, drives)."""
         if not self._was_reset:
             raise error.ResetNeeded("call reset before step")
         return check_actions(actions, self._expected_shape, self.machine)

@@ -186,16 +186,10 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
         return observation, result.reward.item(), result.terminated.item(), False, info
 
     def get_state(self) -> dict[str, Any]:
-        """Copy the complete state: continued from it, the environment returns the same to the bit.
+        """Copy the complete state for `set_state`, which can be pickled; continued from it, all is the same to the bit.
 
         It includes the random generator, so that the episodes after this one are the same too. The limit of steps that
         `gym.make` adds counts in its wrapper and is not included.
-
-        Returns:
-            State for `set_state`, which can be pickled.
-
-        Raises:
-            gymnasium.error.ResetNeeded: If `reset` was not called.
         """
         return {
             **self._shared_state("single"),
@@ -205,11 +199,7 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Put the environment into a state of `get_state`, its own or of another one with the same options.
-
-        Raises:
-            InputError: If it is no state, or that of an environment with other options; nothing is changed then.
-        """
+        """Put the environment into a state of an environment with the same options; an InputError changes nothing."""
         self._restore_shared(state, "single")
         if state["generator"] is None:
             self._np_random = None
@@ -303,11 +293,7 @@ class HFrameTrackEnv(HFrameEnv):
 
 
 def require_path(batch: EnvironmentBatch) -> None:
-    """Check that the goal of the environments moves along a path, as `HFrameTrack-v0` requires.
-
-    Raises:
-        InputError: If the task's attribute `metrics` is not "track"; "reach", for example, has a fixed goal.
-    """
+    """Raise an InputError if the task has no path (`metrics` "track"), as `HFrameTrack-v0` requires."""
     if batch.task.metrics != "track":
         raise InputError(
             f"HFrameTrack-v0 needs a task with a path, not {batch.task.name!r}; use HFrame-v0 for it"

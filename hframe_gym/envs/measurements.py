@@ -273,13 +273,10 @@ class DelayLine:
         self._history[first:last, step % self._depth] = readings[first:last]
 
     def read(self, step: int, first: int, last: int, out: LaneReadings) -> None:
-        """Write the delayed readings of blocks first to last - 1 to `out`.
+        """Write the readings of blocks `first` to `last` - 1, delayed from the last recorded `step`, to `out`.
 
         The reading of a sensor with the delay T is that at the present time minus T, interpolated between the recorded
         ones. For times before the start of the episode, it is the reading at the start.
-
-        Args:
-            step: Number of the integration step that `record` stored last.
         """
         _interpolate(self._history, self.delays, self._h, step, first, last, out)
 

@@ -34,9 +34,6 @@ _FLOAT32 = np.dtype(np.float32)  # saves its construction in every step
 class StateView:
     """Select n positions and velocities of the simulated state for an observation; the first are the tool position.
 
-    Args:
-        signals: Specifications of the entries; the tool's axes come first.
-
     Attributes:
         size: Number of entries n.
         bounds: Lower, then upper bounds of the entries (m, rad, m/s or rad/s), rounded to float32, shape (2 n, LANES).
@@ -247,11 +244,7 @@ class ObservationBuilder:
         )
 
     def write_tool(self, first: int, last: int, tool: NDArray[np.float32]) -> None:
-        """Write the true tool positions of the environments in blocks first to last - 1, limited to their bounds.
-
-        Args:
-            tool: Output, positions, m, shape (count, axes); other rows are not changed.
-        """
+        """Write true positions in blocks `first` to `last` - 1, limited, to `tool`, m, shape (count, axes)."""
         self._observe(first, last, self._tool, tool, tool)
 
 

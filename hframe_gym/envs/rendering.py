@@ -64,7 +64,6 @@ class Scene:
         """Collect the data for a picture of environment b; the path of a moving goal is that of the first 3 s.
 
         Args:
-            b: Index of the environment, from 0.
             trail: Past tool positions (x, y), m, oldest first.
         """
         index = np.array([b])
@@ -104,7 +103,7 @@ def tool_point(batch: EnvironmentBatch, b: int) -> Point:
 
 
 def tension_color(tension: float | None) -> Color:
-    """Return the color in which a picture shows a belt: gray at its pretension, blue below, red above.
+    """Return the color of a belt in a picture: gray at its pretension, blue below, red above.
 
     Args:
         tension: Tension minus pretension, N. Beyond +-40 N the color does not change. None (unknown) or a value that is
@@ -129,7 +128,6 @@ class Renderer:
     """Draw scenes of one machine into a window or an array.
 
     Args:
-        mode: Render mode, "human" (a window) or "rgb_array" (an array).
         fps: Maximum frame rate of the window, 1/s.
 
     Raises:

@@ -124,11 +124,7 @@ def _check_same_shape(achieved: Positions, desired: Positions) -> None:
 
 
 def distances(achieved: Positions, desired: Positions) -> Array:
-    """Compute the Euclidean distances, m, shape (n,), from `achieved` to `desired` positions, m, shape (n, axes).
-
-    Raises:
-        InputError: If the shapes differ.
-    """
+    """Compute the distances, m, shape (n,), from `achieved` to `desired` positions, m, shape (n, axes)."""
     _check_same_shape(achieved, desired)
     distance, reward = np.empty(len(achieved)), np.empty(len(achieved))
     evaluate_rows(achieved, achieved, False, desired, 0, len(achieved), _DENSE, 0.0, 1.0, distance, reward)
@@ -152,11 +148,7 @@ class BuiltinReward:
     kind = _DENSE
 
     def __call__(self, achieved: Positions, desired: Positions) -> Array:
-        """Compute rewards, shape (n,), of achieved tool positions and goal positions, m, shape (n, axes) each.
-
-        Raises:
-            InputError: If the shapes differ.
-        """
+        """Compute rewards, shape (n,), of achieved tool positions and goal positions, m, shape (n, axes) each."""
         _check_same_shape(achieved, desired)
         distance, reward = np.empty(len(achieved)), np.empty(len(achieved))
         constants = self.kind, self.band, self.meters
@@ -178,11 +170,7 @@ class DenseReward(BuiltinReward):
 
 @REWARDS.register("sparse")
 class SparseReward(BuiltinReward):
-    """Reward 0 within a distance `band` of the goal, -1 outside.
-
-    Args:
-        band: Distance to the goal that counts as a success, m.
-    """
+    """Reward 0 within a distance `band` of the goal, -1 outside."""
 
     kind = _SPARSE
 

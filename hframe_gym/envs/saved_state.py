@@ -58,9 +58,7 @@ def check_state(state: Any, kind: str, batch: Any) -> None:
     """Check that the argument of `set_state` belongs to environments of this kind, options and number.
 
     Args:
-        state: What the user gave to `set_state`.
         kind: "single" or "vector": whether the environment is an `HFrameEnv` or an `HFrameVectorEnv`.
-        batch: Its `EnvironmentBatch`, whose `fingerprint` stands for machine, number and options.
 
     Raises:
         InputError: If it is no saved state, or one of another kind, number, machine or options.

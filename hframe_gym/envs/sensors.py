@@ -28,9 +28,6 @@ class Encoders:
 
     Args:
         lines: Lines per turn of the motor shaft, at least 1; quadrature decoding gives four counts per line.
-
-    Raises:
-        InputError: If `lines` is not a number or less than 1.
     """
 
     lines: int = 512
@@ -40,11 +37,7 @@ class Encoders:
             raise InputError(f"sensors: lines is {self.lines!r}, it must be a number, at least 1")
 
     def resolution(self, gear_ratio: float) -> float:
-        """Compute the rotation of the pulley, on the output side of the gear, per encoder count, rad.
-
-        Args:
-            gear_ratio: Motor speed / pulley speed, dimensionless, positive.
-        """
+        """Compute the rotation of the pulley per count, rad, for the `gear_ratio` motor speed / pulley speed."""
         return 2.0 * math.pi / (4.0 * self.lines * gear_ratio)
 
 
@@ -180,11 +173,7 @@ SENSOR_PRESETS: dict[str, SensorSuite | None] = {
 
 
 def as_sensors(sensors: SensorsLike) -> SensorSuite | None:
-    """Convert the environment option `sensors` (see `EnvConfig`) to a sensor suite; None for "state".
-
-    Raises:
-        InputError: If the name is unknown or the argument has another type.
-    """
+    """Convert the environment option `sensors` to a sensor suite, None for "state", or raise an InputError."""
     if isinstance(sensors, SensorSuite):
         return sensors
     if not isinstance(sensors, str) or sensors not in SENSOR_PRESETS:
@@ -200,9 +189,6 @@ def observed_machine(machine: Machine, sensors: SensorsLike) -> Machine | None:
 
     All other sensors and their effects (such as range and delay) are removed. None for the option `sensors`
     "state", with which the true state is observed.
-
-    Raises:
-        InputError: If the name is unknown or the argument has another type.
     """
     suite = as_sensors(sensors)
     if suite is None:

@@ -239,12 +239,7 @@ def observation_space(
 
 
 def box(low: NDArray[np.floating[Any]], high: NDArray[np.floating[Any]]) -> spaces.Box:
-    """Create a `gymnasium.spaces.Box` with float32 entries from n lower and n upper bounds, shape (n,) each.
-
-    Args:
-        low: Lower bounds, in the units of the entries, shape (n,).
-        high: Upper bounds, in the units of the entries, shape (n,).
-    """
+    """Create a box with float32 entries from `low` to `high`, in their units, shape (n,) each."""
     return spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
 
 
@@ -324,10 +319,7 @@ class ObservationFormat:
         return np.copysign(np.minimum(logarithm, np.float32(1.0)), error)
 
     def apply(self, observation: dict[str, NDArray[np.float32]]) -> Any:
-        """Convert observations to the format that the environment's options select.
-
-        Args:
-            observation: Arrays by key, SI, float32, shape (n, entries of the key).
+        """Convert an `observation`, SI, float32, shape (n, entries of the key), as the environment's options select.
 
         Returns:
             Arrays of the same shapes, with `error` where it is selected, or, with `flat`, one array of shape (n, all
@@ -396,11 +388,7 @@ class ObservationFormat:
         )
 
     def goal_as_observed(self, goal: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Convert goals to the form in which they are observed: normalized or unchanged, shape (n, axes).
-
-        Args:
-            goal: Positions, m, float32, shape (n, axes).
-        """
+        """Convert a `goal`, m, float32, shape (n, axes), to how it is observed: normalized or unchanged."""
         return self._normalized("desired_goal", goal) if self.normalize else goal
 
 

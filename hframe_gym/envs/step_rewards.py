@@ -54,12 +54,7 @@ class ProgressReward(BuiltinReward):
     kind = PROGRESS
 
     def bonus(self, achieved: Positions, desired: Positions) -> Array:
-        """Compute the second term of the reward "progress": 1 / (1 + d / 2 mm) with the distance d, shape (n,).
-
-        Args:
-            achieved: Achieved tool positions, m, float32, shape (n, axes).
-            desired: Goal positions, m, float32, shape (n, axes).
-        """
+        """Compute 1 / (1 + d / 2 mm), shape (n,), of `achieved` and `desired`, m, shape (n, axes)."""
         return PRECISION_BONUS / (1.0 + distances(achieved, desired) * self.meters / BONUS_SCALE)
 
 
@@ -110,7 +105,6 @@ class StepRewards:
 
     Args:
         observation_format: Converts between positions and goals as observed.
-        count: Number of environments.
         moving: Whether goals move, so that the desired goal before a step differs from that after it.
 
     Attributes:
@@ -146,13 +140,9 @@ class StepRewards:
         self._after: dict[str, Positions] = {}
 
     def begin(self, index: Index, observation: Mapping[str, Positions]) -> None:
-        """Store the achieved and desired goals at the start of k episodes, for the reward of their first step.
+        """Store the goals, m, shape (count, axes), of `observation` in the rows `index`, where episodes start.
 
         Only the reward "progress" needs them; for others this method does nothing.
-
-        Args:
-            observation: Arrays by key; the rows `index` of `achieved_goal` and `desired_goal`, m, shape
-                (count, axes), are used.
         """
         for key in self._keys:
             for goals in (self._before, self._after):
@@ -172,9 +162,6 @@ class StepRewards:
         Args:
             distance: Array that `evaluate_rows` fills with distances to the goals, m or rad, shape (count,).
             reward: Array that it fills with rewards, dimensionless, shape (count,).
-
-        Returns:
-            Three numbers that select the reward (`kind`, `band`, `meters`), and the two arrays.
         """
         return *self._constants, distance, reward
 

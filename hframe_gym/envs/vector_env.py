@@ -327,20 +327,12 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
     # -- Gymnasium's access to single environments; all are rows of this one ---------------------------------------
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
-        """Call a method, or read an attribute, that all environments share; return the result once per environment.
-
-        Raises:
-            AttributeError: If there is no such method or attribute.
-        """
+        """Call a method, or read an attribute, that all environments share; return the result once per environment."""
         value = self._shared(name)
         return (value(*args, **kwargs) if callable(value) else value,) * self.num_envs
 
     def get_attr(self, name: str) -> tuple[Any, ...]:
-        """Read an attribute that all environments share; return it once per environment.
-
-        Raises:
-            AttributeError: If there is no such attribute.
-        """
+        """Read an attribute that all environments share; return it once per environment."""
         return (self._shared(name),) * self.num_envs
 
     def set_attr(self, name: str, values: Any) -> None:

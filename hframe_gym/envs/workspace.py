@@ -121,12 +121,7 @@ def unmeasured_workspace(machine: Machine) -> str | None:
 
 
 def outside_workspace(positions: NDArray[np.floating[Any]], workspace: NDArray[Any]) -> NDArray[np.bool_]:
-    """Test which positions lie outside the workspace, shape (n,); its edge counts as inside.
-
-    Args:
-        positions: Tool positions, m or rad, shape (n, axes).
-        workspace: Workspace (`Workspace`), m or rad, shape (axes, 2).
-    """
+    """Test which `positions`, m or rad, shape (n, axes), lie outside the `workspace`; its edge counts as inside."""
     beyond = (positions < workspace[:, 0]) | (positions > workspace[:, 1])
     return np.asarray(beyond.any(axis=1))
 
@@ -211,14 +206,11 @@ class EndStops:
         self.machine = machine.with_effects(*stops)
 
     def parameters(self, values: Array) -> Array:
-        """Append the parameters of the end stops to those of k machines.
+        """Append the parameters of the end stops to those of k machines, SI, shape (k, parameters).
 
         Args:
             values: Parameters of the machines, SI, shape (k, N). The first columns are the parameters of the machine
                 without end stops, in their order; further columns are ignored.
-
-        Returns:
-            Parameters in the order of `machine.parameters` of the attribute `machine`, SI, shape (k, parameters).
         """
         result = np.empty((len(values), self._count + len(self._stops)))
         result[:, : self._count] = values[:, : self._count]
@@ -255,13 +247,10 @@ def _soften_buffers(
 
 
 def tool_product(machine: Machine, name: str) -> tuple[int, int]:
-    """Find the two coordinates whose product is added to the tool position along an axis.
+    """Return the indices of two coordinates whose product is added to the tool position along an axis, else -1 and -1.
 
     The tool position along x is usually the coordinate x. If the bridge can yaw, it is x + yaw * y: the result for "x"
     is then (index of yaw, index of y).
-
-    Returns:
-        Indices in `machine.coordinate_names`, -1 and -1 if no product is added.
     """
     for sensor in [sensor for sensor in machine.sensors if sensor.of_position]:
         for key, factor in sensor.row.items():
@@ -276,9 +265,6 @@ def tool_terms(machine: Machine) -> NDArray[np.intp]:
 
     With the coordinates q, the position along an axis is usually q[i]. It is q[i] + q[j] q[k] where a product is added:
     with a bridge that can yaw, the tool is at x + yaw * y along x.
-
-    Args:
-        machine: Machine with one or two tool axes.
 
     Returns:
         Indices i, j and k of each axis in `machine.coordinate_names`, shape (axes, 3); j = k = -1 without product.

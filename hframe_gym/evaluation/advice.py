@@ -42,14 +42,7 @@ _CLEAR_GAIN = 1.15
 
 
 def assumptions(scores: Mapping[str, Any]) -> dict[str, str]:
-    """Describe what an evaluation assumes.
-
-    Args:
-        scores: Content of scores.json.
-
-    Returns:
-        Sentences without a period, by what they are about.
-    """
+    """Describe what an evaluation assumes: sentences without a period, by what they are about."""
     sensors, drives, machines = (str(scores.get(key, "")) for key in ("sensors", "drives", "randomize"))
     period_ms = 1e3 * scores["period_s"]
     return {
@@ -118,11 +111,7 @@ def next_steps(
 
 
 def worst_move(episodes: Episodes) -> str:
-    """Describe the worst episode of a controller: "from (-80, 12) mm to (40, 0) mm"; of a path, its number.
-
-    Args:
-        episodes: Recorded episodes of the controller.
-    """
+    """Describe the worst episode of a controller: "from (-80, 12) mm to (40, 0) mm"; of a path, its number."""
     episode = int(ranked_episodes(episodes)[-1])
     if episodes.contour is not None:
         return f"episode {episode + 1}"

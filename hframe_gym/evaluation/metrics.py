@@ -178,16 +178,10 @@ def settling_times(error: Array, time_s: Array, band: float) -> tuple[Array, NDA
 
 
 def ranked_episodes(episodes: Episodes) -> NDArray[np.intp]:
-    """Order episodes from the best to the worst.
+    """Return the indices of B episodes from the best to the worst, shape (B,).
 
     Moves to a goal are ordered by their settling time within 0.2 mm, those that do not settle by the error at the end;
     motion along a path by the root mean square of the contour error.
-
-    Args:
-        episodes: Recorded episodes of one controller.
-
-    Returns:
-        Indices of the B episodes, shape (B,).
     """
     if episodes.contour is not None:
         return np.argsort(np.mean(episodes.contour**2, axis=1), kind="stable")

@@ -39,15 +39,7 @@ MACHINE_FILE = "machine.json"
 
 
 class RandomActions(Controller):
-    """Uniformly random actions, by which offline data sets are compared; a reset begins the same sequence again.
-
-    Args:
-        machine: Machine whose drives are commanded.
-        period: Control period, s.
-
-    Raises:
-        InputError: If the period is not between 1e-5 s and 10 s.
-    """
+    """Uniformly random actions, by which offline data sets are compared; a reset begins the same sequence again."""
 
     feedback: ClassVar[Literal["observation"]] = "observation"
     knowledge: ClassVar[str] = "nothing"
@@ -72,10 +64,6 @@ def dataset_controller(name: str, scenario: Scenario) -> Controller:
 
     Args:
         name: "random", name of a registered controller, `module:name` of one, or folder of a trained agent.
-        scenario: Machine, task and control period.
-
-    Returns:
-        The controller.
 
     Raises:
         InputError: If the controller is unknown or cannot run in this scenario.

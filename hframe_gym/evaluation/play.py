@@ -61,13 +61,7 @@ class _StageView(Renderer):
 class PlayedStage:
     """One simulated machine (stage) in the window of the game, driven by a controller or by the user.
 
-    Args:
-        name: Name of the controller; None for the user.
-
     Attributes:
-        name: Name that the window shows.
-        controller: The controller; None if the user drives.
-        env: Environment of the stage.
         view: Picture of the stage, which converts pixels to positions.
         volts: Voltages of the drives in the last control period, V, shape (drives,).
         settled_s: Time from which on the tool has been within the task's band, s; None while it is outside.
@@ -121,12 +115,7 @@ class PlayedStage:
         self._note(info)
 
     def step(self, action: Array) -> None:
-        """Simulate one control period of this stage.
-
-        Args:
-            action: Voltages that the user applies, as fractions of the rated voltages, shape (drives,). Ignored if a
-                controller drives the stage.
-        """
+        """Simulate a control period; a user's `action` is fractions of the rated voltages, shape (drives,)."""
         if self.controller:
             batch = {key: value[None] for key, value in self.observation.items()}
             action = np.asarray(self.controller.act(batch), np.float64)[0]

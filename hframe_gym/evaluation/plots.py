@@ -123,12 +123,7 @@ def _point(position: NDArray[np.float64]) -> str:
 
 
 def episode_panels(name: str, episodes: Episodes, episode: int) -> list[Panel]:
-    """Describe the three plots of an episode for the scorecard: tool path, distance over time, voltages.
-
-    Args:
-        name: Name of the controller and of the episode, for the captions.
-        episode: Index of the episode.
-    """
+    """Describe the plots of an episode for the scorecard, with captions: tool path, distance over time, voltages."""
     start, goal = 1e3 * episodes.position[episode, 0], 1e3 * episodes.goal[episode, -1]
     final_mm = 1e3 * float(episodes.goal_error[episode, -1])
     small = episodes.unit.small
@@ -181,9 +176,6 @@ def distribution_panel(recorded: Mapping[str, Episodes]) -> Panel:
 
     A curve shows the fraction of the episodes that have settled until a time, or whose error is at most a value. It
     ends below 100 % if some episodes do not settle.
-
-    Args:
-        recorded: Recorded episodes by name of the controller.
     """
     first = next(iter(recorded.values()))
     path, unit = first.contour is not None, first.unit
@@ -249,11 +241,7 @@ def interval_panel(title: str, unit: str, scores: Mapping[str, Mapping[str, Any]
 
 
 def success_panel(title: str, success: Mapping[str, Mapping[str, float]]) -> Panel:
-    """Describe a bar chart for the scorecard: fraction of successful episodes by settling band and controller.
-
-    Args:
-        success: By name of the controller, the fraction of successful episodes, 0 to 1, by name of the settling band.
-    """
+    """Describe a bar chart for the scorecard: fraction of successful episodes by controller and settling band."""
     texts = unit_of_scores(next(iter(success.values()))).band_texts
     bands = list(texts)
 

@@ -97,16 +97,12 @@ class ResultFile(_Strict):
 
 
 def result_content(protocol: Protocol, entry: Entry, draws: Mapping[str, Draws]) -> dict[str, Any]:
-    """Build the content of a result file, which holds the scores of one controller or agent in a protocol.
+    """Build the content of a result file, a `ResultFile` without `about`: the scores of an entry in a protocol.
 
     Args:
-        protocol: Benchmark that was run.
         entry: Name, kind and hash of the controller or agent.
         draws: Values of all episodes of the protocol ("draws"): by part (task) and by metric, such as `final_error_mm`,
             a list with one value per episode, mm or s.
-
-    Returns:
-        The keys of `ResultFile`; `about` is empty.
     """
     content = {
         "schema": SCHEMA,
@@ -335,9 +331,6 @@ def compare_draws(result: ResultFile, draws: Mapping[str, Draws]) -> Comparison:
     go both ways, and means moved by 0.8 % at most. A file is therefore reproduced if the values of few draws differ by
     more than the tolerances, and if the differences of a metric add up to no more than those of random signs do. Draws
     that were edited improve, all of them: more than a handful are found.
-
-    Args:
-        draws: Values of the repeated run by part and metric.
     """
     protocol = get_protocol(result.protocol)
     count = equal = 0

@@ -188,11 +188,7 @@ PROTOCOLS: dict[str, Protocol] = {
 
 
 def get_protocol(name: str) -> Protocol:
-    """Return a benchmark protocol by its name with the version, for example "reach-v1".
-
-    Raises:
-        InputError: If there is no such protocol.
-    """
+    """Return a benchmark protocol by its name with the version, such as "reach-v1"; an InputError if unknown."""
     if name == GAP:
         raise InputError(
             f"protocol {GAP} has plants of the independent simulator, which is not installed with the package: run "
@@ -236,7 +232,6 @@ def run_protocol(name: str, protocol: Protocol) -> tuple[Entry, dict[str, Draws]
     Args:
         name: Name of a registered controller, `module:name` of one, a shipped agent or an agent's folder, or a folder
             with one agent per task in the folders `reach` and `track`.
-        protocol: Benchmark to run.
 
     Returns:
         The controller or agent, and the values of all draws (episodes) by part and metric, in the unit of the metric.
@@ -288,8 +283,6 @@ def make_entry(name: str, protocol: Protocol, part: str) -> tuple[Entry, Control
 
     Args:
         name: Controller such as "pid", agent or its folder, or folder with one agent each in `reach` and `track`.
-        protocol: Benchmark in which it will run.
-        part: Name of the part, for example "reach".
 
     Raises:
         InputError: If the name is unknown or the controller cannot run on the task.

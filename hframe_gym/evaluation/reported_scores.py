@@ -16,11 +16,7 @@ def task_name(scores: Mapping[str, Any]) -> str:
 
 
 def unit_of_scores(names: Iterable[str]) -> AxisUnit:
-    """Find the unit of the tool position from the names of settling bands in scores, such as "2mrad"; default m.
-
-    Args:
-        names: Names that end in the name of a band or are one, for example the keys of `success`.
-    """
+    """Find the unit of the tool position from the names of settling bands in scores, such as "2mrad"; default m."""
     endings = tuple(names)
     found = [u for u in AXIS_UNITS.values() if any(name.endswith(u.bound_band) for name in endings)]
     return found[0] if found else METERS
@@ -45,11 +41,7 @@ def settling_in(score: Mapping[str, Any], band: str) -> Mapping[str, Any] | None
 
 
 def ratio_to_bounds(score: Mapping[str, Any]) -> Mapping[str, Any] | None:
-    """Return the mean settling time over the mean of the shortest possible times, with its interval.
-
-    Returns:
-        The ratio; None without bounds, which exist for linear axes only, and where nothing settles.
-    """
+    """Return the mean settling time over the mean of the shortest possible times, with its interval."""
     band = METERS.bound_band
     by_band = score.get("over_bound") or {}
     if band not in by_band or not score["success"][band]:

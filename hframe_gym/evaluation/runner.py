@@ -59,13 +59,15 @@ def evaluate(
 ) -> Evaluation:
     """Simulate controllers on identical episodes and score them.
 
+    References:
+        Metrics: hframe_gym/evaluation/metrics.py; bounds: docs/bound.md.
+
     Args:
         controllers: Names of controllers (such as "pid"), agents or folders; or controllers by the names in results.
         machine: Machine, built-in name or machine.json; or a `Scenario`, which replaces all further arguments.
         task: "reach", "track", the name of another registered task, or a task object.
         randomize: Preset name or list of randomization rules for the machine's parameters.
         sensors: What controllers observe: "state" (true full state), "rig" (encoders and lasers), or a sensor suite.
-        episodes: Number of episodes.
         seed: Seed of the first episode; episode b has seed + b.
         period: Control period, s.
         duration_s: Length of an episode, s.
@@ -73,9 +75,6 @@ def evaluate(
     Raises:
         InputError: If an option or a controller's name is wrong or missing, a controller cannot run in this scenario,
             the simulated motion diverges, or the episodes would have more than 2e8 samples (10 per control period).
-
-    References:
-        Metrics: hframe_gym/evaluation/metrics.py; bounds: docs/bound.md.
     """
     options = (task, randomize, sensors, episodes, seed, period, duration_s)
     scenario = machine if isinstance(machine, Scenario) else Scenario(machine, *options)
@@ -132,7 +131,6 @@ def rollout(controller: Controller, scenario: Scenario) -> Episodes:
 
     Args:
         controller: Controller designed for the scenario's control period. Its memory is cleared first.
-        scenario: Machine, task, randomization, sensors and number of episodes.
 
     Raises:
         InputError: If the environment rejects the scenario's options, or the simulated motion diverges.
@@ -231,25 +229,16 @@ def _points(travel: Array, speed: Array) -> MotionPoint:
 
 
 def write_scores(folder: str | Path, scores: Mapping[str, Any]) -> Path:
-    """Write `Evaluation.scores` to scores.json in a folder, and return the path; on failure an existing file stays.
-
-    Raises:
-        ValueError: If a value is not finite, which JSON cannot hold.
-        OSError: If the file cannot be written.
-    """
+    """Write `Evaluation.scores` to scores.json in a folder, and return the path; on failure an existing file stays."""
     path = Path(folder) / "scores.json"
     write_text(path, json.dumps(scores, indent=2, allow_nan=False) + "\n")
     return path
 
 
 def file_labels(controllers: Iterable[str]) -> list[str]:
-    """Return the name, without suffix, of the files of each controller of an evaluation; all names differ.
+    """Return the names, without suffix, of the files of the controllers of an evaluation, all different.
 
-    Args:
-        controllers: Names of controllers and agents, or folders of agents, in the order of the scores.
-
-    Returns:
-        Of a folder the last part, without colons, and with a number from the second of equal names on.
+    A folder gives its last part, without colons, and with a number from the second of equal names on.
     """
     labels: list[str] = []
     for name in controllers:
@@ -266,8 +255,6 @@ def write_motions(path: str | Path, episodes: Episodes, machine: Machine, count:
     """Write the motion of the first episodes of a controller as a table; the file appears complete or not at all.
 
     Args:
-        path: File ending in .csv.
-        machine: Machine whose tool axes and channels name the columns.
         count: Number of episodes to write, from the first one on.
 
     Raises:

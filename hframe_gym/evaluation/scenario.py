@@ -187,9 +187,6 @@ def episode_conditions(scenario: Scenario) -> EpisodeConditions:
     """Sample the machine parameters, starts and goals of a scenario's episodes, without simulating any motion.
 
     The `EpisodeConditions` state the shape of each.
-
-    Raises:
-        ValueError: If the environment rejects the scenario's options, for example an unknown task.
     """
     envs = environments_of(scenario)
     observation, _ = envs.reset(seed=scenario.seed)
@@ -230,11 +227,7 @@ class ControllerSource(ABC):
     @staticmethod
     @abstractmethod
     def make(name: str, scenario: Scenario) -> Controller | None:
-        """Create the controller that this source provides under a name, for example a path; None if it has none.
-
-        Raises:
-            InputError: If this source has the controller but cannot create it, for example from a damaged file.
-        """
+        """Create the controller that this source provides under a name, for example a path; None if it has none."""
 
     @staticmethod
     @abstractmethod

@@ -46,17 +46,12 @@ def write_scorecard(
     warnings: Sequence[str] = (),
     machine: str | None = None,
 ) -> Path:
-    """Write scorecard.html: verdict, assumptions, scores with 95 % intervals, typical and worst episodes, next steps.
+    """Write scorecard.html: verdict, assumptions, scores with 95 % intervals, episodes, next steps; return its path.
 
     Args:
-        folder: Folder; created if it does not exist.
-        scores: Contents of scores.json.
         recorded: Recorded episodes by name of the controller, for the plots of episodes. Default: no plots.
         warnings: Sentences about results that cannot be trusted.
         machine: Name or file of the machine, for the commands on the page. Default: the machine's name.
-
-    Returns:
-        Path of the page; it appears complete or not at all.
 
     Raises:
         ImportError: If a library of the extra `report` is missing.

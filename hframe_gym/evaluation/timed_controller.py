@@ -17,11 +17,7 @@ from ..controllers import Controller
 class TimedController(Controller):
     """A controller whose processor time is measured.
 
-    Args:
-        controller: The controller.
-
     Attributes:
-        controller: The controller.
         cpu_s: Processor time of `act` so far, s.
         actions: Number of actions so far: calls of `act` times machines.
     """

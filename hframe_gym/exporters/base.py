@@ -33,7 +33,6 @@ def option(
     """Declare a field of an exporter that `hframe export` offers as an option of the same name.
 
     Args:
-        default: Default value.
         text: Help text; placeholders such as {sensors} stand for the registered names.
         cli_type: Type of the option on the command line, if it differs from the type of the field.
         least: Smallest value that the command line accepts; None for no limit.
@@ -69,7 +68,6 @@ class Exporter(ABC):
 
         Args:
             out: Folder of the export, created if it does not exist.
-            log: Called with lines that tell what was written.
 
         Raises:
             InputError: If the exporter cannot describe the machine or controller.
@@ -99,11 +97,7 @@ class MachineExporter(Exporter):
         """
 
     def loaded(self) -> Machine:
-        """Return the machine of the field `machine`.
-
-        Raises:
-            InputError: If there is no such machine, or its file is faulty.
-        """
+        """Return the machine of the field `machine`; an InputError if there is none, or its file is faulty."""
         return self.machine if isinstance(self.machine, Machine) else load_machine(self.machine)
 
     @override

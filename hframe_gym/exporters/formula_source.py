@@ -58,7 +58,6 @@ class Signal:
     """An input or output of a formula.
 
     Attributes:
-        name: Name of the argument in the source text.
         size: Number of its entries; 0 for a number instead of an array.
         comment: Meaning and unit.
     """
@@ -79,7 +78,6 @@ class Formula:
     Attributes:
         name: Name, after the prefix of the export.
         comment: What it computes.
-        inputs: Arguments.
         outputs: Results; a state is an input and an output of the same name.
         results: One expression for each entry of the outputs, in order.
     """
@@ -104,18 +102,11 @@ def trace_formula(
     function: Callable[..., Sequence[Any]],
     parameters: Mapping[str, Parameter],
 ) -> Formula:
-    """Trace a function of the equations of motion.
+    """Trace a function of the equations of motion as a formula.
 
     Args:
-        comment: What it computes.
-        inputs: Arguments.
-        outputs: Results.
         function: Function (values, *arguments) of the parameter values by full name and of one value (or list of
             values) per input, which returns all entries of the outputs.
-        parameters: Parameters by full name.
-
-    Returns:
-        The formula.
     """
     trace = FormulaTrace(name)
     values = {full: trace.argument(p.identifier) for full, p in parameters.items()}
@@ -162,11 +153,10 @@ class Language(ABC):
 
     @abstractmethod
     def operation(self, name: str, operands: Sequence[str]) -> str:
-        """Write an operation or a call of a function, without brackets around it.
+        """Write an operation or a call of a function of operands, which are atoms or in brackets, without brackets.
 
         Args:
             name: Operator such as "+" or name of a function in `dynamics.elementwise`.
-            operands: Source text of the operands, which are atoms or in brackets.
         """
 
     @abstractmethod
@@ -174,8 +164,6 @@ class Language(ABC):
         """Write a line that assigns a value to a target.
 
         Args:
-            target: Name that gets the value.
-            value: Source text of the value.
             kind: "number" or "condition" for a new name, "output" for an existing one.
         """
 

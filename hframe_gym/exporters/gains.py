@@ -34,7 +34,6 @@ class Gain(NamedTuple):
         input: What it is multiplied by.
         gain: Name of the gain.
         value: Value in `unit`.
-        unit: Unit.
     """
 
     controller: str

@@ -82,15 +82,11 @@ class Mode(NamedTuple):
 
 
 def linear_model(machine: Machine, position: Array) -> LinearModel:
-    """Linearize a machine, with its effects, at rest.
+    """Linearize a machine, with its effects, at rest; the model is in SI.
 
     Args:
-        machine: Machine with any effects.
         position: Operating point: position of every coordinate at which no belt is stretched, m or rad, shape
             (coordinates,).
-
-    Returns:
-        The model, in SI, with names and units.
     """
     n, drives = len(machine.coordinates), len(machine.drives)
     nominal = linearize(machine, position)
@@ -175,7 +171,6 @@ def axis_modes(machine: Machine, position: Array) -> dict[str, Mode]:
     An oscillation belongs to the axis that moves most in it.
 
     Args:
-        machine: Machine with belts or other springs between motors and tool.
         position: Operating point as of `linear_model`, m or rad, shape (coordinates,).
 
     Returns:

@@ -312,11 +312,7 @@ def _floats(values: Sequence[Any]) -> list[float]:
 
 
 def check_prefix(prefix: str) -> str:
-    """Return the value of the option --prefix after checking that it is an identifier of C and of Structured Text.
-
-    Raises:
-        InputError: If it is no identifier of C and of Structured Text.
-    """
+    """Return the value of --prefix; an InputError refuses what is no identifier of C and of Structured Text."""
     if not _NAME.fullmatch(prefix) or "__" in prefix:
         raise InputError(
             f"--prefix {prefix}: must be a letter followed by at most 30 letters, digits or underscores"

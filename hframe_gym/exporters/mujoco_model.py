@@ -52,21 +52,17 @@ def model_xml(
     *,
     drawn: bool = False,
 ) -> str:
-    """Write a stage as a model of MuJoCo.
+    """Write a stage as a model of MuJoCo, in XML.
 
     Contacts, gravity and limits, which have no part in the equations of motion of a stage, are switched off.
 
     Args:
         machine: Machine with one or two tool axes and any pulleys; its effects are ignored.
         step: Integration step, s.
-        settings: Settings of MuJoCo.
         position: Position of every coordinate at which the belts have their stiffness, m or rad, shape (coordinates,).
             None: all zero.
         drawn: Whether the model has names, geometries, ranges of the joints and sensors; without them it is as fast as
             possible.
-
-    Returns:
-        Model as XML.
 
     Raises:
         InputError: If the machine has other coordinates than tool axes and pulleys, or drives that follow a set point.
@@ -171,11 +167,7 @@ def _sensors(machine: Machine) -> str:
 
 
 def tool_coordinates(machine: Machine) -> list[Coordinate]:
-    """Return the coordinates of the tool axes of a machine that consists of a tool and pulleys.
-
-    Raises:
-        InputError: If there are other linear coordinates, coordinates that a spring holds, or no tool.
-    """
+    """Return the coordinates of the tool axes; an InputError unless the machine consists of a tool and pulleys."""
     require_linear_axes(machine, "a model of bodies")
     axes = [machine.coordinate(name) for name in machine.tool_axes]
     others = [c.name for c in machine.coordinates if c.kind == "linear" and c.name not in machine.tool_axes]
@@ -191,9 +183,6 @@ def tool_coordinates(machine: Machine) -> list[Coordinate]:
 def carrier_and_riders(axes: list[Coordinate]) -> tuple[Coordinate, list[Coordinate], float]:
     """Decide which axis carries the other: the heavier one, whose mass includes that of the carriage on it.
 
-    Args:
-        axes: Coordinates of one or two tool axes.
-
     Returns:
         carrier: The heavier axis.
         riders: The other axis, or none.
@@ -205,11 +194,7 @@ def carrier_and_riders(axes: list[Coordinate]) -> tuple[Coordinate, list[Coordin
 
 
 def belt_stiffness(machine: Machine, position: Array | None) -> list[float]:
-    """Compute the stiffness of each belt at an operating point, N/m, without effects.
-
-    Args:
-        position: Position of every coordinate, m or rad, shape (coordinates,); None: all zero.
-    """
+    """Compute the stiffness of belts, N/m, without effects, at `position`, m or rad, shape (coordinates,), or 0."""
     if position is None:
         return [b.EA / b.rest_length for b in machine.belts]
     nominal = machine.replace(effects=(), ties={})

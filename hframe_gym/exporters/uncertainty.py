@@ -17,7 +17,6 @@ def standard_deviations(machine: Machine, quantity: Callable[[Machine], Array]) 
     """Propagate the covariance of the identified parameters to quantities.
 
     Args:
-        machine: Machine, with the covariance of its parameters where they were identified.
         quantity: Function from a machine to quantities in any unit, an array of any one shape.
 
     Returns:

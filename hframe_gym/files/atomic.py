@@ -210,9 +210,6 @@ def remove_file(path: str | Path) -> None:
     """Remove a file if it exists.
 
     Inside an `output_batch` of its folder, or of a folder above, the file disappears only at the end of the batch.
-
-    Raises:
-        OSError: If the file cannot be removed.
     """
     target = Path(path)
     found = _in_batch(target)

@@ -40,15 +40,7 @@ def expansion_limit(path: Path) -> int:
 
 
 def refuse_expansion(path: Path, size: int) -> None:
-    """Raise an error if the decompressed content of a file is larger than both 64 MB and 100 times the file.
-
-    Args:
-        path: The compressed file, for its size and for the message.
-        size: Number of bytes of the content, or of the part that has been decompressed so far.
-
-    Raises:
-        InputError: If the content is larger.
-    """
+    """Raise an InputError if so many bytes of content are more than 64 MB and than 100 times the compressed file."""
     if size > expansion_limit(path):
         raise InputError(
             f"{path}: expands to more than {MAX_EXPANSION} times its size and {FREE_EXPANSION >> 20} MB, which no "
@@ -57,30 +49,13 @@ def refuse_expansion(path: Path, size: int) -> None:
 
 
 def refuse_long_line(path: Path, length: int) -> None:
-    """Raise an error if a line is too long for a row of a table of numbers.
-
-    Args:
-        path: File of the table, for the message.
-        length: Number of characters of the line, or of the part that has been read so far.
-
-    Raises:
-        InputError: If the line has 65536 characters (`MAX_LINE`) or more.
-    """
+    """Raise an InputError if a line of so many characters is too long (`MAX_LINE`) for a row of a table of numbers."""
     if length >= MAX_LINE:
         raise InputError(f"{path}: has a line of more than {MAX_LINE - 1} characters, so it is not a table")
 
 
 def refuse_many_values(path: Path, rows: int, columns: int) -> None:
-    """Raise an error if a table has more numbers than the memory can hold.
-
-    Args:
-        path: File of the table, for the message.
-        rows: Number of rows, or of the rows that have been read so far.
-        columns: Number of columns.
-
-    Raises:
-        InputError: If rows * columns exceeds 1e9 (`MAX_VALUES`, 8 GB).
-    """
+    """Raise an InputError if a table has more numbers than the memory can hold (`MAX_VALUES`, 8 GB)."""
     if rows * columns > MAX_VALUES:
         raise InputError(
             f"{path}: has more than {MAX_VALUES:.0e} numbers; cut the recording into several runs"
@@ -88,11 +63,7 @@ def refuse_many_values(path: Path, rows: int, columns: int) -> None:
 
 
 def read_document(path: Path) -> str:
-    """Read a whole text file such as JSON or TOML, UTF-8 or UTF-16 with a byte order mark, of at most 16 MB.
-
-    Raises:
-        InputError: If the file cannot be read, is larger than 16 MB, or is not such a text.
-    """
+    """Read a whole text file such as JSON or TOML, UTF-8 or UTF-16 with a byte order mark, of at most 16 MB."""
     try:
         with open(path, "rb") as file:
             content = file.read(MAX_DOCUMENT + 1)

@@ -155,12 +155,7 @@ class Component:
 
     @classmethod
     def variant(cls, coordinate: CoordinateKind, kind: str = "") -> Variant:
-        """Return what follows from a kind of the component and the kind of the coordinate at which it is.
-
-        Args:
-            coordinate: Kind of the coordinate.
-            kind: Name of the component's kind.
-        """
+        """Return what follows from a kind of the component and the kind of the coordinate at which it is."""
         return Variant()
 
     @classmethod

@@ -22,14 +22,11 @@ _MIN_ROWS = 10  # of the table, so that few rows are not drawn higher
 
 
 def draw_machine(machine: Machine) -> Any:
-    """Draw a machine: a plan view, and a table of its coefficients.
+    """Draw a machine as a figure of matplotlib: a plan view, and a table of its coefficients.
 
     The plan view is drawn if the tool has one or two axes. The table has a column for each coordinate and a row for
     each belt (extension per travel of the coordinate, m/m), drive (force or torque per volt, N/V or Nm/V) and sensor
     (coefficient of the coordinate in the reading).
-
-    Returns:
-        Figure of matplotlib; its method `savefig` writes a file.
 
     Raises:
         ImportError: If matplotlib is missing; the message says how to install it.

@@ -277,11 +277,7 @@ class Effect:
         return hash(self.name)
 
     def parameter(self, name: str) -> EffectParameter:
-        """Return the declaration of one parameter of the effect: unit, bounds, role.
-
-        Raises:
-            KeyError: If the effect has no parameter with this name.
-        """
+        """Return the declaration of a parameter of the effect (unit, bounds, role), or raise a KeyError."""
         for parameter in self.parameters:
             if parameter.name == name:
                 return parameter

@@ -209,23 +209,13 @@ class Machine:
         return any(sensor.has_direction for sensor in self.sensors)
 
     def sensor_unit(self, sensor: Sensor) -> str:
-        """Return the unit of a sensor's measurements: that of its quantity at the coordinate which it mainly measures.
-
-        Args:
-            sensor: Sensor of this machine.
-
-        Returns:
-            The unit, for example "m", "rad/s" or "A", or what the kind of the sensor states.
-        """
+        """Return the unit of a sensor, such as "rad/s": of its kind, or of its quantity at `coordinate_of_sensor`."""
         return self.variant(sensor).units["measurement"]
 
     def coordinate_of_sensor(self, sensor: Sensor) -> str:
         """Return the name of the coordinate that a sensor mainly measures.
 
         That of a current is the one that the drive moves, that of a tension the one that stretches the belt most.
-
-        Args:
-            sensor: Sensor of this machine.
         """
         match sensor.sensed.component:
             case "drive":

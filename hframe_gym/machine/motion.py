@@ -140,13 +140,9 @@ def _unstretched(machine: Machine, leaders: Sequence[int], position: ArrayLike) 
 
 
 def rest_positions_per_axis(machine: Machine) -> Array:
-    """Return how far every coordinate moves if the tool moves along one of its axes and no belt is stretched.
+    """Return how far coordinates move per travel of an axis with unstretched belts, SI, shape (coordinates, axes).
 
     Where the tool is at p, the positions in `rest_state` are this matrix times p.
-
-    Returns:
-        Positions of all coordinates at rest per position of each tool axis, m or rad per m or rad, shape (coordinates,
-        axes).
     """
     tool = [machine.coordinate_names.index(axis) for axis in machine.tool_axes]
     others = [i for i, c in enumerate(machine.coordinates) if c.kind == "linear" and i not in tool]
@@ -188,16 +184,12 @@ def rigid_motions(machine: Machine) -> dict[str, Array]:
 
 
 def carried_through_contacts(machine: Machine, displacements: Array) -> Array:
-    """Return displacements in which what is behind a contact, such as the teeth of a gear, moves with its near side.
+    """Return `displacements` in which what is behind a contact moves with its near side, shape (n, coordinates).
 
     A displacement of one side alone would be a blow, because contacts are stiff.
 
     Args:
-        machine: Machine with its coordinates.
         displacements: Displacements of the coordinates, m or rad, or their rates, shape (n, coordinates).
-
-    Returns:
-        The displacements with those behind contacts replaced, shape (n, coordinates).
     """
     carried = np.array(displacements, float)
     for contact in machine.contacts:

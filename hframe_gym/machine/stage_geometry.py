@@ -75,11 +75,7 @@ class StageGeometry:
         return (point[1], point[0]) if self.bridge_axis == self._swapped_axis else point
 
     def rails(self) -> list[Box]:
-        """Compute where to draw the rails, on which the bridge or the carriage of a single axis runs, from above.
-
-        Returns:
-            Rectangles: two rails, or one for a single axis. Each is (x, y) of one corner, then of the opposite one, m.
-        """
+        """Compute the rectangles of two rails, or one for a single axis: (x, y) of two opposite corners, m."""
         if self.bridge_axis is None:
             return [(self.x0 - 0.03, -0.03, self.x1 + 0.03, 0.03)]
         if self.bridge_axis == 0:
@@ -87,15 +83,7 @@ class StageGeometry:
         return [(x - 0.03, self.y0 - 0.03, x + 0.03, self.y1 + 0.03) for x in (self.x0, self.x1)]
 
     def bridge(self, x: float, y: float) -> list[Box]:
-        """Compute where to draw the bridge, seen from above: two end plates and the beam between them.
-
-        Args:
-            x: Tool position along x, m.
-            y: Tool position along y, m.
-
-        Returns:
-            Rectangles, each (x, y) of one corner, then of the opposite one, m; none for a single axis.
-        """
+        """Compute the rectangles of end plates and beam for a tool at `x`, `y`, m; none for a single axis."""
         if self.bridge_axis is None:
             return []
         u, (first, last) = (x, (self.y0, self.y1)) if self.bridge_axis == 0 else (y, (self.x0, self.x1))
@@ -106,22 +94,12 @@ class StageGeometry:
         return boxes if self.bridge_axis == 0 else [(b, a, d, c) for a, b, c, d in boxes]
 
     def pulleys(self, x: float, y: float = 0.0) -> list[Point]:
-        """Compute the centers (x, y), m, of the pulleys to draw for a tool position; this base class draws none.
-
-        Args:
-            x: Tool position along x, m.
-            y: Tool position along y, m.
-        """
+        """Compute the centers (x, y), m, of the pulleys to draw for a tool at `x`, `y`, m; here none."""
         del x, y
         return []
 
     def sections(self, x: float, y: float) -> dict[str, list[Point]]:
-        """Compute the vertices (x, y), m, of the belt sections to draw, by name; this base class draws none.
-
-        Args:
-            x: Tool position along x, m.
-            y: Tool position along y, m.
-        """
+        """Compute the vertices (x, y), m, of belt sections, by name, for a tool at `x`, `y`, m; here none."""
         del x, y
         return {}
 
@@ -158,7 +136,6 @@ def drawn_point(unit: AxisUnit, position: Sequence[float]) -> Point:
     Two rotary axes are drawn like x and y, with 0.1 m for a rad.
 
     Args:
-        unit: Unit of the axes.
         position: Tool position along one or two axes, m or rad.
     """
     if unit is not RADIANS:
@@ -172,7 +149,6 @@ def position_of_point(unit: AxisUnit, point: Point, near: Sequence[float]) -> tu
     """Return the tool position that a point of a drawing shows, the inverse of `drawn_point`.
 
     Args:
-        unit: Unit of the axes.
         point: Point (x, y), m.
         near: Tool position along one or two axes, m or rad. Of the angles of a rotary axis that differ by turns, the
             one nearest to it is returned.

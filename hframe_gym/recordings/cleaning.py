@@ -36,17 +36,11 @@ _CATCH_UP = 3.0  # times the largest step around a silence
 
 
 def fill_gaps(recording: Recording) -> Recording:
-    """Copy a recording and insert rows into each gap, a time step of more than 1.5 median sampling periods.
+    """Copy a recording and insert rows into each gap, a step of more than 1.5 median sampling periods.
 
-    Without inserted rows, a simulation would hold the last voltage before a gap over the complete gap. The inserted
-    rows have linearly interpolated voltages, and NaN (not measured) for all measurements.
-
-    Args:
-        recording: Run with or without gaps.
-
-    Returns:
-        Copy in which each gap is divided into equal time steps of about the median sampling period; the same object if
-        there are no gaps.
+    Inserted rows are about a median period apart; without them, a simulation would hold the last voltage over the gap.
+    They have linearly interpolated voltages, and NaN (not measured) for all measurements. Without gaps, the same object
+    is returned.
     """
     time_s = recording.time_s
     steps = np.diff(time_s)
@@ -170,9 +164,6 @@ def without_repetitions(recording: Recording) -> Recording:
 
     A slow sensor measures less often than a row is logged. `repetitions` detects it and estimates its number of rows
     per measurement.
-
-    Args:
-        recording: Run as logged, with n rows.
 
     Returns:
         Copy with measurements, in the sensors' units, shape (n, sensors); the same object if no sensor is slow. Each

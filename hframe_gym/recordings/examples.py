@@ -13,10 +13,7 @@ _PARTS = ("README.md", "rig_a", "rig_b", "notebooks")  # those of the folder exa
 
 
 def examples_folder() -> Path:
-    """Return the folder of the examples: inside the package if it was installed from a wheel, else in the repository.
-
-    Returns:
-        Existing folder that contains `rig_a`.
+    """Return the folder with `rig_a`: inside the package if it was installed from a wheel, else in the repository.
 
     Raises:
         InputError: If this installation has no examples.
@@ -30,13 +27,10 @@ def examples_folder() -> Path:
 
 
 def copy_examples(out: str | Path) -> list[Path]:
-    """Copy the recordings of two example rigs, their description and example notebooks to a new folder.
+    """Copy two example rigs with their description, and example notebooks, to a new folder; return the paths.
 
     Args:
         out: Folder to create; it must not exist, unless it is an empty folder. It appears complete or not at all.
-
-    Returns:
-        Paths in `out`: README.md and the folders rig_a, rig_b and notebooks.
 
     Raises:
         InputError: If `out` is a file or a folder that is not empty, or this installation has no examples.

@@ -294,14 +294,10 @@ class Meaning(NamedTuple):
 
 
 def normalize_unit(text: str) -> str:
-    """Return the usual spelling of a unit, for example "mm" for "[Millimeters]" and "m/s^2" for "m/s²".
+    """Return the usual spelling of a unit: "mm" for "[Millimeters]", "m/s^2" for "m/s²".
 
-    Args:
-        text: Unit as written in a log or an option, possibly in brackets.
-
-    Returns:
-        Unit of a quantity in `QUANTITIES`, such as "ms", "V", "rpm" or "Nm", or of a duty cycle, "%" or "pu" (per unit,
-        1 is the rated voltage). A text that is none of them is returned without brackets.
+    The unit is that of a quantity in `QUANTITIES`, or of a duty cycle, "%" or "pu" (per unit, 1 is the rated voltage).
+    A text that is none of them is returned without brackets.
     """
     plain = text.strip().strip("[](){}<>").strip()
     if plain in _QUANTITY_OF_UNIT:
@@ -314,24 +310,13 @@ def normalize_unit(text: str) -> str:
 
 
 def is_unit(text: str) -> bool:
-    """Return whether a text is a unit, to recognize a row of units below the header of a table.
-
-    Args:
-        text: Cell of a row.
-
-    Returns:
-        True for a known unit, including units such as "A" that few channels have, and marks such as "[#]" and "-" of a
-        column without a dimension.
-    """
+    """Return whether the cell of a row below a header is a unit, or a mark such as "[#]" and "-" for no dimension."""
     unit = normalize_unit(text)
     return unit in _QUANTITY_OF_UNIT or unit.lower() in _WITHOUT_DIMENSION
 
 
 def split_unit(header: str) -> tuple[str, str]:
     """Split the header of a column into name and unit: "Pos X [mm]", "x_mm", "x (mm)", "x in mm", "vel_rad_s".
-
-    Args:
-        header: Cell of a header.
 
     Returns:
         name: Name without the unit.
@@ -380,15 +365,10 @@ def _is_ending(name: str, ending: str) -> bool:
 
 @lru_cache(maxsize=4096)
 def meaning_of(name: str, unit: str) -> Meaning:
-    """Determine what a column contains from its name and unit.
+    """Determine what a column contains from its name and its unit, which is normalized or "".
 
-    Args:
-        name: Name of the column without its unit.
-        unit: Unit of the column as `normalize_unit` spells it; "" if none is stated.
-
-    Returns:
-        Quantity, unit, evidence and role. A unit decides, except where several quantities share it: percent is a duty
-        cycle unless the name says of what ("torque [%]"), and "nm" is a length unless the name is that of a torque.
+    A unit decides, except where several quantities share it: percent is a duty cycle unless the name says of what
+    ("torque [%]"), and "nm" is a length unless the name is that of a torque.
     """
     named, role = _named_quantity(name), _role(name)
     quantity = _QUANTITY_OF_UNIT.get(unit, "")

@@ -144,9 +144,6 @@ def load_recording(
         progress: Called with the number of bytes read since the last call.
         max_rows: Number of rows after which reading stops. Default: all rows are read.
 
-    Returns:
-        The run, with inputs and outputs in the order of the machine's drives and sensors.
-
     Raises:
         InputError: If the file cannot be read or has no rows, columns are missing or unknown, a time or input is empty
             or infinite, all outputs are empty, times do not increase, a gap exceeds 600 s or the run a day, or a
@@ -165,7 +162,6 @@ def recording_from_columns(path: Path, columns: Mapping[str, Array], machine: Ma
     """Check the columns of a run and arrange them in the order of a machine's channels.
 
     Args:
-        path: File of the run, from which its name is taken; it need not exist.
         columns: Values by column, shape (n,) each: `time_s` (s), all inputs and any of the outputs, in the units that
             their names state.
 
@@ -221,14 +217,7 @@ def _voltages(path: Path, columns: Mapping[str, Array], drive: Drive) -> Array:
 
 
 def recorded_commands(machine: Machine, inputs: Array) -> Array:
-    """Convert the inputs of a simulation to the commands that a recording without supply voltages has.
-
-    Args:
-        inputs: Inputs of the drives, V (A, Nm for drives of the kinds "current" and "torque"), shape (n, drives).
-
-    Returns:
-        Commands in the units of the channels, shape (n, drives): a duty cycle is that of the rated voltage.
-    """
+    """Convert `inputs`, V (A, Nm), shape (n, drives), to commands; duty cycles are those of the rated voltage."""
     fractions = [DRIVE_KINDS.get(drive.kind).fraction for drive in machine.drives]
     if not any(fractions):
         return inputs
@@ -254,15 +243,9 @@ def _refuse_gaps(path: Path, time_s: Array) -> None:
 
 
 def write_trajectory(path: str | Path, trajectory: Trajectory, inputs: Array, machine: Machine) -> None:
-    """Write a simulated run as a recording that `load_recording` can read, with nine significant digits.
+    """Write a simulated run, with its `inputs`, V, shape (n, drives), with nine digits, as `load_recording` reads it.
 
     If writing fails, an existing file is unchanged.
-
-    Args:
-        path: File to write, .csv or .csv.gz (compressed).
-        trajectory: Simulated sample times and measurements, n samples.
-        inputs: Drive voltages, V, shape (n, drives).
-        machine: Machine that was simulated; its channels name the columns.
 
     Raises:
         OSError: If the file cannot be written.
@@ -322,14 +305,7 @@ def _texts(values: Array) -> list[str]:
 
 
 def run_name(path: Path) -> str:
-    """Return the name of a run: its file name without folder and without .csv, .csv.gz or .parquet.
-
-    Args:
-        path: File of the run; it need not exist.
-
-    Returns:
-        Name of the run. The name of a file with another ending is returned unchanged.
-    """
+    """Return the name of a run: its file name without folder and without .csv, .csv.gz or .parquet."""
     for suffix in SUFFIXES:
         if path.name.endswith(suffix):
             return path.name.removesuffix(suffix)

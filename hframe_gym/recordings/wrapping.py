@@ -54,14 +54,7 @@ class Wrap(NamedTuple):
     jumps: int
 
     def describe(self, unit: str) -> str:
-        """Describe the wrap in a clause that follows the name of the channel.
-
-        Args:
-            unit: Unit of the channel.
-
-        Returns:
-            Clause such as "wraps 13 times at one turn (6.28319 rad) and is unwrapped".
-        """
+        """Describe the wrap in a clause: "wraps 13 times at one turn (6.28319 rad) and is unwrapped"."""
         times = "once" if self.jumps == 1 else f"{self.jumps} times"
         return f"wraps {times} at {self.name} ({self.modulus:.6g} {unit}) and is unwrapped"
 
@@ -168,14 +161,10 @@ def _speed_around(changes: Array, steps: Array, gaps: NDArray[np.int_]) -> Array
 
 
 def wraps_of(recording: Recording, machine: Machine) -> dict[str, Wrap]:
-    """Recognize the outputs of a recording that wrap.
+    """Recognize the output channels of a recording that wrap.
 
     Args:
         recording: Run as logged (times, s; voltages, V; measurements, m or rad).
-        machine: Machine with the sensors.
-
-    Returns:
-        Wrap by output channel, in the channel's unit; only channels that wrap.
     """
     found = {}
     for sensor, values in zip(machine.sensors, recording.outputs.T, strict=True):
@@ -194,17 +183,10 @@ def wraps_of(recording: Recording, machine: Machine) -> dict[str, Wrap]:
 
 
 def without_wraps(recording: Recording, machine: Machine) -> Recording:
-    """Copy a recording, with continuous measurements of the angles and counters that wrap.
+    """Copy a recording with continuous angles and counters, or return it if no output wraps.
 
     A measurement wraps at the turn that its sensor declares; without one, at jumps of a known modulus (`find_wrap`), if
     it is a position. Other jumps stay.
-
-    Args:
-        recording: Run as logged (times, s; voltages, V; measurements, m or rad).
-        machine: Machine with the sensors.
-
-    Returns:
-        Copy; the same object if no output wraps.
     """
     wraps = wraps_of(recording, machine)
     if not wraps:

@@ -19,7 +19,6 @@ class WrongUnitError(InputError):
 
     Attributes:
         problem: File, columns and values, in words.
-        channels: Names of the channels.
         unit: Unit that the values probably have.
     """
 

@@ -36,11 +36,7 @@ class Panel(NamedTuple):
 
 
 def plot_style() -> Any:  # matplotlib's type lists the names of all settings
-    """Return the settings of matplotlib with which plots are drawn, for `matplotlib.rc_context`.
-
-    Raises:
-        ImportError: If matplotlib is missing; the message says how to install it.
-    """
+    """Return the settings of matplotlib with which plots are drawn, for `matplotlib.rc_context`."""
     with naming_extra("report", NEED):
         from cycler import cycler
     ink, muted, line = color("ink"), color("muted"), color("line")

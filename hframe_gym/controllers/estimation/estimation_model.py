@@ -91,19 +91,11 @@ class AugmentedParameters(ParameterRatios):
         self.covariance: Array = np.diag(std**2) + COMMON_BELT_STD**2 * np.outer(belts, belts)
 
     def ratios(self, logarithms: Array) -> Array:
-        """Compute the ratios of estimated to declared values, limited to [1/4, 4] (`LARGEST_RATIO`), shape (B, k).
-
-        Args:
-            logarithms: Natural logarithms of the ratios, shape (B, k).
-        """
+        """Compute the ratios of estimated to declared values, within [1/4, 4], from `logarithms`, shape (B, k)."""
         return np.exp(self.clip(logarithms))
 
     def clip(self, logarithms: Array) -> Array:
-        """Limit the logarithms of parameter ratios, shape (B, k), to [-log 4, log 4] (`LARGEST_RATIO`).
-
-        Args:
-            logarithms: Natural logarithms of the ratios, shape (B, k).
-        """
+        """Limit the natural `logarithms` of parameter ratios, shape (B, k), to [-log 4, log 4] (`LARGEST_RATIO`)."""
         return np.clip(logarithms, -np.log(LARGEST_RATIO), np.log(LARGEST_RATIO))
 
     @override

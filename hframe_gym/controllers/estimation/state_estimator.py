@@ -150,12 +150,9 @@ class StateEstimator:
         return np.flatnonzero(np.any(self.measurements.matrix[:, beside] != 0.0, axis=1))
 
     def reset(self, mask: Mask | None = None) -> None:
-        """Discard the estimates of the machines that start a new episode with their next measurements.
+        """Discard the estimates of machines that start a new episode next; None: of all, whose number may then change.
 
         Their new estimates start from a machine at rest with the declared parameters.
-
-        Args:
-            mask: These machines. None: all; their number may then change.
         """
         self._starts.reset(mask)
 

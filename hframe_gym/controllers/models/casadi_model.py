@@ -88,11 +88,7 @@ class SymbolicModel:
         return self._rate(state, action, time, self._parameters, self._start)
 
     def current_excess(self, state: Any, action: Any) -> list[Any]:
-        """Return constraints (expressions that must be <= 0) that keep the motor currents within their limits.
-
-        Returns:
-            Expression (current / limit)^2 - 1, dimensionless, of each drive whose current the machine limits.
-        """
+        """Return (current / limit)^2 - 1, which must be <= 0, dimensionless, of each drive whose current is limited."""
         voltages, point = self._voltages(action), self._point(state, 0.0)
         current = self._equations.ohmic_current
         return [(current(j, point, voltages[j]) / limit) ** 2 - 1.0 for j, limit in self._current_limits]

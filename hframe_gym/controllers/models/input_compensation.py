@@ -21,10 +21,6 @@ MINIMUM_SLOPE = 1e-9
 class DeadTime:
     """Delay line of the commanded voltages, and prediction of the state over the dead time.
 
-    Args:
-        machine: Machine; its effects may delay the voltages of its drives.
-        period: Control period, s.
-
     Attributes:
         delay_s: Dead time of the slowest drive, s.
         remainder_s: Dead time beyond complete periods, s.
@@ -45,12 +41,7 @@ class DeadTime:
         self._sent = np.zeros((0, 0, 0))  # V, (B, periods, drives), latest first
 
     def reset(self, mask: Mask) -> None:
-        """Set all voltages in the delay lines of the machines that start an episode to 0 V.
-
-        Args:
-            mask: These machines. If their number differs from that of the previous call, all delay lines are
-                set to 0 V.
-        """
+        """Set the delay lines of machines that start an episode to 0 V; all if the number of machines has changed."""
         if len(self._sent) != len(mask):
             self._sent = np.zeros(
                 (len(mask), self._complete_periods + 2, len(self.machine_without_delay.drives))
@@ -169,11 +160,7 @@ class InputInversion:
                 self._tables[j] = (command, motor + MINIMUM_SLOPE * command)
 
     def motor_voltage(self, command: Volts) -> Volts:
-        """Compute the voltages at the motors that commands give after dead band, offset and gain of the drives.
-
-        Args:
-            command: Commanded voltages, at most the rated ones in magnitude.
-        """
+        """Compute the voltages at the motors that commands, at most the rated ones, give after the drives' errors."""
         return self._mapped(command, inverse=False)
 
     def command(self, motor_voltage: Volts) -> Volts:

@@ -149,11 +149,7 @@ class MotionModel:
         self._scale = np.tile(units, 2)
 
     def state(self, observation: KeyedObservation) -> TravelStates:
-        """Convert a full-state observation to a state; other keys than `observation` are ignored.
-
-        Raises:
-            InputError: If the observation has another number of entries.
-        """
+        """Convert a full-state observation to a state; an InputError refuses one with another number of entries."""
         values = np.asarray(observation["observation"], np.float64)
         if values.ndim != 2 or values.shape[1] != len(self._order):
             raise InputError(f"observation has shape {values.shape}, it must be (B, {len(self._order)})")
@@ -164,36 +160,20 @@ class MotionModel:
         return (state / self._scale)[:, np.argsort(self._order)]
 
     def axis_travel(self, position: NDArray[Any]) -> ToolPositions:
-        """Convert tool positions as environments give them, m or rad, to travel along the axes.
-
-        Args:
-            position: Tool positions or goals, m or rad, shape (..., axes).
-        """
+        """Convert a tool `position` as environments give it, m or rad, shape (..., axes), to travel along the axes."""
         return np.asarray(position, np.float64) * self.axis_radii
 
     def goal_state(self, goal: NDArray[Any]) -> TravelStates:
-        """Compute the states at rest with unstretched belts at given tool positions.
-
-        Args:
-            goal: Tool positions (`axis_travel`), m, shape (B, axes).
-        """
+        """Compute the states at rest with unstretched belts at a tool position `goal`, m, shape (B, axes)."""
         travel = np.asarray(goal, np.float64) @ self.rigid.T
         return np.concatenate([travel, np.zeros_like(travel)], axis=1)
 
     def tool_position(self, travel: Array) -> ToolPositions:
-        """Select the tool position from the belt travel of all coordinates.
-
-        Args:
-            travel: Belt travel, m, shape (B, n), or states, shape (B, 2 n).
-        """
+        """Select the tool position from `travel` of all coordinates, m, or from states, shape (B, n or 2 n)."""
         return travel[:, self.tool]
 
     def elastic_travel(self, travel: Array) -> Array:
-        """Compute the belt travel beyond that of unstretched belts, m, shape (B, n); 0 for tool axes.
-
-        Args:
-            travel: Belt travel, m, shape (B, n), or states, shape (B, 2 n).
-        """
+        """Compute the part of `travel`, m, or of states, shape (B, n or 2 n), that is beyond unstretched belts."""
         return travel[:, : len(self.mass)] - self.tool_position(travel) @ self.rigid.T
 
     def discretize(self, goal: Array, period: float) -> tuple[Array, Array, Array]:
@@ -277,11 +257,7 @@ class MotionModel:
         return stretch
 
     def voltage(self, force: Array) -> Volts:
-        """Compute the voltages, not limited, for given forces along the axes, at zero speed and with rigid belts.
-
-        Args:
-            force: Forces along the tool's axes, N, shape (B, axes).
-        """
+        """Compute the voltages, not limited, for a `force`, N, shape (B, axes), at rest with rigid belts."""
         return force @ self._volts_per_force.T
 
     def disturbance_force(

@@ -56,8 +56,6 @@ class ArrivalPlanner:
     """Planner of motions to a goal at rest, for B machines with different parameters.
 
     Args:
-        model: Model of the machine with its declared parameters, n coordinates.
-        period: Control period, s.
         longest: Largest number of periods until the tool arrives.
     """
 
@@ -100,9 +98,6 @@ class ArrivalPlanner:
 
         Args:
             arrival: Number K of control periods until the tool arrives, 1 or more, shape (B,).
-
-        Returns:
-            Plans; arrays have the shape (B, ...).
         """
         rated, axes, batch = self._model.rated, len(self._model.tool), len(arrival)
         # Residuals are R a + c for actions a within [-1, 1].
@@ -206,27 +201,17 @@ def _least_squares_within_limits(R: Array, c: Array) -> Array:
 
 
 class PlanSimulation:
-    """Simulation of plans of voltages for B machines, and improvement of plans by simulations.
-
-    Args:
-        model: Model of the machine that is simulated, with its effects.
-        period: Control period, s.
-        periods: Number of periods of a plan, P.
-    """
+    """Simulation of plans of voltages for B machines, and improvement of plans by simulations."""
 
     def __init__(self, model: MotionModel, period: float, periods: int) -> None:
         self._model, self.periods = model, periods
         self._time_s = np.linspace(0.0, period * periods, periods * SAMPLES + 1)
 
     def tool_positions(self, state: TravelStates, parameters: ParameterRows, volts: Array) -> Array:
-        """Simulate the machines with given voltages and return the positions of their tools.
+        """Simulate; return tool positions at 4 equidistant times per period, m, shape (B, 4 * periods, axes).
 
         Args:
             volts: Commanded voltages of each period, V, shape (B, periods, drives).
-
-        Returns:
-            Tool positions at SAMPLES = 4 equidistant times per period, the fourth at its end, m, shape (B, 4
-            * periods, axes).
         """
         inputs = np.repeat(volts, SAMPLES, axis=1)
         positions = rollout(

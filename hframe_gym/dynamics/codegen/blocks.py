@@ -15,15 +15,10 @@ from .machine_code import LANES
 
 
 def in_blocks(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rearrange values of many machines into blocks of `LANES` machines, which the processor simulates side by side.
+    """Rearrange `values` of B machines, SI, shape (B, K), into blocks of machines, shape (ceil(B / LANES), K, LANES).
 
-    `LANES` is 16 on processors with AVX-512, otherwise 8.
-
-    Args:
-        values: Parameters or states of B machines, at least one, SI, shape (B, K).
-
-    Returns:
-        Blocks, shape (ceil(B / LANES), K, LANES); copies of the last machine fill the last block.
+    The processor simulates `LANES` machines side by side: 16 with AVX-512, otherwise 8. Copies of the last machine fill
+    the last block.
     """
     count = -(-len(values) // LANES) * LANES
     padded = np.concatenate([values, np.repeat(values[-1:], count - len(values), axis=0)])

@@ -16,26 +16,12 @@ _SMALL = 0.5  # largest |z| of the series below: the remainder of the Taylor ser
 
 
 def decay_integral_slope(z: Any) -> Any:
-    """Return the derivative of D(z) = (1 - exp(-z)) / z, which is ramp(z) - D(z).
-
-    Args:
-        z: Viscous damping of the step, b h / m >= 0, dimensionless; SIMD register of shape (LANES,).
-
-    Returns:
-        Derivative, dimensionless, in the shape of z; -1/2 without damping.
-    """
+    """Return the derivative of D(z) = (1 - exp(-z)) / z, ramp(z) - D(z); -1/2 without damping. `z` is b h / m >= 0."""
     return ramp(z) - decay_integral(z)
 
 
 def end_weight_slope(z: Any) -> Any:
-    """Return the derivative of w(z) = 1 / (1 - exp(-z)) - 1 / z, which is w - w**2 + (1 - 2 w) / z.
-
-    Args:
-        z: Viscous damping of the step, b h / m >= 0, dimensionless; SIMD register of shape (LANES,).
-
-    Returns:
-        Derivative, dimensionless, in the shape of z; 1/12 without damping.
-    """
+    """Return the derivative of w(z) = 1 / (1 - exp(-z)) - 1 / z, w - w**2 + (1 - 2 w) / z; 1/12 without damping."""
     q = z * z
     # Derivative of the Bernoulli series of w, because the closed form cancels for small z.
     p = fma(q, 1.0 / 5322240.0, -1.0 / 172800.0)
@@ -50,15 +36,7 @@ def end_weight_slope(z: Any) -> Any:
 
 
 def ramp_slope(z: Any) -> Any:
-    """Return the derivative of ramp(z) = (z - 1 + exp(-z)) / z**2.
-
-    Args:
-        z: Viscous damping over a time t, b t / m, dimensionless; negative for motion reversed in time. SIMD register of
-            shape (LANES,), one value per machine.
-
-    Returns:
-        Derivative, dimensionless, in the shape of z; -1/6 without damping.
-    """
+    """Return the derivative of ramp(z) = (z - 1 + exp(-z)) / z**2; -1/6 without damping. z < 0: time is reversed."""
     # Taylor series: the sum of (-1)**k (k - 2) z**(k - 3) / k! from k = 3 on.
     p = fma(z, 11.0 / 6227020800.0, -10.0 / 479001600.0)
     p = fma(z, p, 9.0 / 39916800.0)

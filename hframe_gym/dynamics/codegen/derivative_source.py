@@ -30,7 +30,6 @@ class _StepBack(StepTrace):
     """Trace of one step of the integrator and of its derivatives.
 
     Args:
-        source: Kernel to which the step belongs.
         friction: Derivative of static friction, see `derivatives.Friction`.
         by_parameters: Whether to compute derivatives with respect to the parameters.
     """

@@ -64,12 +64,7 @@ class Kernel:
 
 
 def generate_kernel(machine: Machine, *, forced: bool = False) -> tuple[str, KernelSource]:
-    """Return the source text of a kernel, and what it was generated from.
-
-    Args:
-        machine: Any machine of the shape; its parameter values do not matter.
-        forced: Whether an external force acts on every coordinate.
-    """
+    """Return the source text of a kernel, with external forces if `forced`, and what it was generated from."""
     source = KernelSource(machine, forced=forced)
     components = {
         "coordinates": machine.coordinates,

@@ -27,7 +27,6 @@ class LaneProgram:
 
     Args:
         text: Source text; `lane_compiler` describes the language.
-        names: Names of its functions.
 
     Attributes:
         addresses: Address of each function by name, for `call_at`.

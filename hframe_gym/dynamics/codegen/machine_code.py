@@ -39,13 +39,7 @@ LANES = 16 if "+avx512f" in processor()[1].split(",") else 8
 
 
 def native_functions(key: str, names: Sequence[str], build: Callable[[], ir.Module]) -> Mapping[str, int]:
-    """Return the addresses of compiled functions by name; compile them if no earlier process has.
-
-    Args:
-        key: Text that determines the module, besides the version of LLVM and the processor.
-        names: Names of its functions.
-        build: Function that builds the module.
-    """
+    """Return the addresses of functions by name; compile them if no process has, for this `key` and processor."""
     text = "\n".join((key, llvmlite.__version__, llvm.get_default_triple(), *processor()))
     name = f"kernel_{hashlib.sha256(text.encode()).hexdigest()[:24]}"
     with _LOCK:

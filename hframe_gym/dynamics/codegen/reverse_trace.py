@@ -67,7 +67,6 @@ class _Guard:
     """Values that are updated only where a condition holds.
 
     Attributes:
-        condition: The condition.
         before: Expressions of the values before the update.
         after: Expressions of the values within the branch.
         results: Variables that have either.
@@ -132,47 +131,19 @@ class ReverseTrace(Trace):
         self.stored[array, int(row)] = self.expression(value)
 
     def operations(self, formula: str, *operands: Any) -> tuple[Expression, ...]:
-        """Return the results of a formula of friction with several results, as operations of this trace.
-
-        Args:
-            formula: Name of the formula, "stop_or_reverse".
-            *operands: Its arguments: expressions and numbers.
-
-        Returns:
-            Expression of each result.
-        """
+        """Return the results of the formula of friction that has several, "stop_or_reverse", as operations."""
         return tuple(_EXPANDED[formula](*operands))
 
     def read(self, array: str, row: int) -> Expression:
-        """Return the expression that loads a row of an array of derivatives, of which nothing is differentiated.
-
-        Args:
-            array: Name of the argument in the function's signature.
-            row: Index of the row.
-
-        Returns:
-            Expression of the loaded row.
-        """
+        """Return the expression that loads a row of an array of derivatives, of which nothing is differentiated."""
         return super().load(array, row, "")
 
     def write(self, array: str, row: int, value: Expression) -> None:
-        """Append a statement that writes derivatives to a row of an array.
-
-        Args:
-            array: Name of the argument in the function's signature.
-            row: Index of the row.
-            value: Expression of the derivatives.
-        """
+        """Append a statement that writes derivatives to a row of an array, an argument of the function."""
         super().store(array, row, value)
 
     def add_to(self, array: str, row: int, value: Expression) -> None:
-        """Append a statement that adds derivatives to a row of an array.
-
-        Args:
-            array: Name of the argument in the function's signature.
-            row: Index of the row.
-            value: Expression of the derivatives.
-        """
+        """Append a statement that adds derivatives to a row of an array, an argument of the function."""
         super().store(array, row, self.read(array, row) + value)
 
     @override

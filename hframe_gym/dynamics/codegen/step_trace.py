@@ -76,12 +76,7 @@ def row_name(component: str, index: int, key: str) -> str:
 
 
 class _PreparedEquations(Equations):
-    """Equations that take from `derived` what `prepare` has computed.
-
-    Args:
-        source: Kernel to which the generated function belongs.
-        trace: Trace of the function `advance`.
-    """
+    """Equations that take from `derived` what `prepare` has computed."""
 
     def __init__(self, source: KernelShape, trace: Trace) -> None:
         rows = source.layout.parameters.items()
@@ -117,14 +112,7 @@ class _PreparedEquations(Equations):
 
 
 class StepTrace:
-    """Trace of the generated function `advance`, in the order of the algorithm at the top of this module.
-
-    Args:
-        source: Kernel to which the generated function belongs.
-
-    Attributes:
-        trace: Statements of the function.
-    """
+    """Trace of the generated function `advance`, in the order of the algorithm at the top of this module."""
 
     def __init__(self, source: KernelShape) -> None:
         self.trace = trace = Trace(

@@ -70,12 +70,7 @@ def parabola(time, i: int, delay: float) -> tuple:
 
 @compiled_only
 def most_steps(time, longest_step: float) -> int:
-    """Return the largest number of integration steps between two consecutive samples, at least 1.
-
-    Args:
-        time: Sample times, s, shape (N,).
-        longest_step: Largest step of the integrator, s.
-    """
+    """Return the largest number of steps, of at most `longest_step`, s, between the times `time`, s, shape (N,)."""
     steps = 1
     for i in range(time.shape[0] - 1):
         steps = max(steps, int(np.ceil((time[i + 1] - time[i]) / longest_step - 1e-6)))

@@ -132,9 +132,6 @@ class BeltEquations(ParameterizedMachine):
         """Return the force of the belts on each coordinate, N: -G' T - (1/2) s^2 dk/dp.
 
         Here p is the belt travel, s the extension, k the stiffness, T the tension, and G = ds/dp.
-
-        Args:
-            belts: The result of `belt_states(point)`.
         """
         forces = []
         for i, arm in enumerate(self._lever_arms(point)):

@@ -160,11 +160,7 @@ def _operating_point(machine: Machine, position: ArrayLike | None) -> tuple[Equa
 
 
 def matrix_exponential(matrix: Array) -> Array:
-    """Compute the exponential of a matrix, shape (n, n); the result is the same to the bit for any number of threads.
-
-    Args:
-        matrix: Square matrix, dimensionless, shape (n, n).
-    """
+    """Compute the exponential of a dimensionless `matrix`, shape (n, n), to the same bits for any number of threads."""
     from scipy.linalg import expm
 
     with single_threaded_linear_algebra():

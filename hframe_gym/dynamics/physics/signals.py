@@ -126,11 +126,7 @@ class SignalEquations(BeltEquations):
         return [self._delay("measurement_delay", s.channel) for s in self.machine.sensors]
 
     def step_factor(self, effect_states: Mapping[int, Value]) -> Value:
-        """Return the actual duration of a step / that by the clock of the log, with the effects on that clock.
-
-        Args:
-            effect_states: State of each effect that has one, SI, by index in `instances`.
-        """
+        """Return the duration of a step / that by the log's clock, with the effects on it and their states, SI."""
         factor: Value = 1.0
         for k, e in self.effects_at("clock", "machine"):
             factor = factor + self.evaluate(e, "clock", {"z": effect_states[k]})

@@ -168,14 +168,7 @@ class Statement:
 
 
 def simplified(operation: str, values: tuple[Expression, ...]) -> Expression | None:
-    """Simplify an arithmetic operation if the result is the same but for the sign of a zero: 2 + 3, x + 0, x * 1, ...
-
-    Args:
-        operation: "+", "-", "*", "/" or "neg"; other operations are not simplified.
-        values: One operand for "neg", otherwise two.
-
-    Returns:
-        The simplified expression, or None.
+    """Simplify an operation if only the sign of a zero may differ: 2 + 3, x + 0, x * 1, ...; else return None.
 
     Raises:
         ValueError: If an operation on two numbers gives no finite number.

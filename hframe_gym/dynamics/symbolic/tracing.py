@@ -132,7 +132,6 @@ class Trace:
 
         Args:
             function: Name of the called function in the generated module.
-            *arguments: Arguments of the call: expressions of this trace, and finite numbers.
             results: For each returned value, the name of its variable in two parts: role ("speed") and index, or None.
 
         Returns:

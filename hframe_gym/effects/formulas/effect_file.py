@@ -290,11 +290,7 @@ class FormulaEffect:
 
 
 def write_effect_file(effect: FormulaEffect, path: Path) -> None:
-    """Write the Python file that defines and registers an effect; it must not exist.
-
-    Raises:
-        InputError: If the file exists or cannot be written.
-    """
+    """Write the Python file that defines and registers an effect; an InputError if it exists or cannot be written."""
     if path.exists():
         raise InputError(f"{path}: the file exists; remove it or choose another name with --out")
     try:

@@ -167,8 +167,6 @@ def fit_formulas(curve: Curve, terms: Sequence[Term], count: int = 3) -> tuple[F
     """Propose formulas for a curve: sums of terms with a small error for their number of parameters (complexity).
 
     Args:
-        curve: Table with its uncertainty.
-        terms: Terms that a formula may contain.
         count: Largest number of formulas.
 
     Returns:
@@ -196,12 +194,7 @@ def fit_formulas(curve: Curve, terms: Sequence[Term], count: int = 3) -> tuple[F
 
 
 class _Search:
-    """Search for the formulas of a curve.
-
-    Args:
-        curve: Table with its uncertainty.
-        terms: Terms that a formula may contain.
-    """
+    """Search for the formulas of a curve."""
 
     def __init__(self, curve: Curve, terms: Sequence[Term]) -> None:
         self._curve = curve

@@ -66,11 +66,7 @@ class Task(ABC):
         return {}
 
     def check(self, workspace: Workspace) -> None:  # noqa: B027  (optional)
-        """Check that starts and goals of the task lie in the workspace; an environment calls it when it is made.
-
-        Raises:
-            InputError: If the task does not fit into the workspace. This default checks nothing.
-        """
+        """Check that starts and goals of the task lie in the workspace; an environment calls it when it is made."""
 
     @abstractmethod
     def begin(
@@ -119,14 +115,7 @@ class Task(ABC):
             previews[:] = self.goal(plan, elapsed_s[:, None] + ahead_s)
 
     def aim(self, target: Array) -> GoalPlans:
-        """Make plans for episodes with given targets (option `target` of an environment's `reset`).
-
-        Args:
-            target: Target positions of k episodes, m, shape (k, axes).
-
-        Raises:
-            InputError: If the goal of this task cannot be set. The default implementation always raises it.
-        """
+        """Make plans for given `target` positions, m, shape (k, axes); an InputError if the task has none."""
         raise InputError(f"task {self.name} has no target; reset takes only the option 'start'")
 
     def contour(self, plan: GoalPlans, points: Array, elapsed_s: ElapsedTimes) -> Array | None:
@@ -176,7 +165,6 @@ def check_point(label: str, points: Array, workspace: Workspace) -> None:
     """Check that points lie in the workspace; its edge counts as inside.
 
     Args:
-        label: Name of the option whose value the points are, for the error message.
         points: Points, m or rad, shape (axes,) or (k, axes).
 
     Raises:
@@ -196,8 +184,6 @@ class ReferenceTrajectories:
     """Keep the plans of `count` environments and compute their goals over time.
 
     Args:
-        task: Task of all environments.
-        count: Number of environments.
         period: Control period, s.
         axes: Number of axes of the tool.
 
@@ -285,7 +271,6 @@ class ReferenceTrajectories:
         """Compute the goals of environment b at n times, m, float32, shape (n, axes); (0, axes) if goals do not move.
 
         Args:
-            b: Index of the environment, 0 to count - 1.
             elapsed_s: Times since its reset, s, shape (n,).
         """
         if not self.moving:
@@ -293,11 +278,7 @@ class ReferenceTrajectories:
         return self._task.goal(self._plans[b : b + 1], elapsed_s[None])[0].astype(np.float32)
 
     def contour(self, index: Index | slice, tools: Array) -> Array | None:
-        """Compute the contour errors of k environments, m, shape (k,); None for a task without a path.
-
-        Args:
-            tools: Their tool positions, m, shape (k, axes).
-        """
+        """Compute the contour errors for `tools`, m, shape (k, axes); None for a task without a path."""
         if self._task.metrics != "track":
             return None
         return self._task.contour(self._plans[index], tools, self._elapsed_s[index])

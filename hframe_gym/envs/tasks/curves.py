@@ -40,11 +40,7 @@ class CurveData(NamedTuple):
 class Curve:
     """Plane curve of finite length, parametrized by its arc length.
 
-    Args:
-        data: Radius, or vertices with their arc lengths.
-
     Attributes:
-        data: As given, for compiled functions.
         closed: Whether the last point of the curve equals the first.
         length: Length of one lap of a closed curve, or from end to end of an open one, m.
     """
@@ -65,10 +61,9 @@ class Curve:
         return points
 
     def distance(self, points: Array, s: Array) -> Array:
-        """Compute the distances, m, shape (n,), of n points to the part of the curve near s, see `write_distances`.
+        """Compute the distances, m, shape (n,), of `points`, m, shape (n, 2), to the part of the curve near s.
 
         Args:
-            points: Points x, y, m, shape (n, 2).
             s: Approximate arc length of the nearest point of the curve to each of `points`, m, shape (n,).
         """
         distances = np.empty(len(points))
@@ -110,12 +105,7 @@ def _write_points(s: Any, curve: Any, points: Any) -> None:
 
 @compiled_only
 def point_at(s: float, curve: Any) -> Any:
-    """Compute the point (x, y), m, of a curve at an arc length; only other compiled functions can call it.
-
-    Args:
-        s: Arc length from the start of the curve, m, see `Curve.point`.
-        curve: The curve (`CurveData`).
-    """
+    """Compute the point (x, y), m, of a curve at an arc length `s`, m; for compiled functions only."""
     if curve.radius > 0.0:
         cosine, sine = cos_sin_of_turns(s * (1.0 / curve.vertex_s[-1]))
         return curve.radius * cosine, curve.radius * sine

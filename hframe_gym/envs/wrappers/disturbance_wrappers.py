@@ -20,14 +20,7 @@ _STREAM = 7_919
 
 
 def machine_for_disturbances(machine: Machine) -> Machine:
-    """Add a constant force of 0 N to every tool axis of a machine; disturbances change it while an episode runs.
-
-    Args:
-        machine: Machine with tool axes.
-
-    Returns:
-        Copy of the machine, with the effects `constant_force` that it lacks.
-    """
+    """Return a copy of a machine with `constant_force` of 0 N at every tool axis, which disturbances change."""
     present = {effect.label for effect in machine.effects}
     added = [
         EFFECTS["constant_force"].at(axis, size=0.0)
@@ -38,17 +31,7 @@ def machine_for_disturbances(machine: Machine) -> Machine:
 
 
 class _Forces:
-    """Random forces on the tool of a batch.
-
-    Args:
-        env: Environment of this package, whose machine has the effects of `machine_for_disturbances`.
-        name: Name of the process.
-        options: Its keywords.
-
-    Attributes:
-        batch: Batch of the environment.
-        forces: Forces of the present control period, N, shape (count, axes).
-    """
+    """Random forces on the tool of a batch."""
 
     def __init__(self, env: Any, name: str, options: Mapping[str, Any]) -> None:
         batch = getattr(env.unwrapped, "batch", None)
@@ -100,7 +83,6 @@ class DisturbanceWrapper(gym.Wrapper):
     The state of `get_state` does not contain them.
 
     Args:
-        env: Environment of this package, with `machine=machine_for_disturbances(machine)`.
         process: Name in `DISTURBANCES`.
         **options: Keywords of the process, for example std=2.0.
 
@@ -133,11 +115,6 @@ class DisturbanceWrapper(gym.Wrapper):
 class VectorDisturbanceWrapper(VectorWrapper):
     """`DisturbanceWrapper` for `HFrameVectorEnv`; the force of an episode that begins is drawn anew.
 
-    Args:
-        env: Vector environment of this package, with `machine=machine_for_disturbances(machine)`.
-        process: Name in `DISTURBANCES`.
-        **options: Keywords of the process.
-
     Raises:
         InputError: As `DisturbanceWrapper`.
     """
@@ -154,9 +131,6 @@ class VectorDisturbanceWrapper(VectorWrapper):
         Args:
             **keywords: `seed`, which also determines the forces, and `options` of `HFrameVectorEnv.reset`; only the
                 environments that its `reset_mask` chooses get new forces.
-
-        Returns:
-            Observation and info of the environments.
         """
         self._forces.seed(keywords.get("seed"))
         result = self.env.reset(**keywords)

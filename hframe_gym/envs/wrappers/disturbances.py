@@ -35,16 +35,7 @@ class Disturbance(Protocol):
         """
 
     def follow(self, forces: Array, period: float, generator: np.random.Generator) -> Array:
-        """Return the forces of the next control period.
-
-        Args:
-            forces: Forces of the present period, N, shape (environments, axes).
-            period: Control period, s.
-            generator: Random numbers.
-
-        Returns:
-            Forces, N, shape (environments, axes).
-        """
+        """Return the `forces` of the next `period`, s, from those of this one, N, shape (environments, axes)."""
 
 
 DISTURBANCES: Registry[type[Disturbance]] = Registry("disturbance")
@@ -59,11 +50,7 @@ def _not_negative(**values: float) -> None:
 
 @DISTURBANCES.register("white")
 class WhiteNoise(Disturbance):
-    """Independent normal forces in every control period.
-
-    Args:
-        std: Standard deviation, N.
-    """
+    """Independent normal forces of the standard deviation `std`, N, in every control period."""
 
     def __init__(self, std: float = 2.0) -> None:
         _not_negative(std=std)

@@ -41,12 +41,10 @@ class StepRecord:
     """The last step of a batch of environments.
 
     Args:
-        batch: The environments, after the step.
         actions: Actions of the step, limited to [-1, 1], shape (count, drives).
         last_actions: Actions of the step before, shape (count, drives); zero in the first step of an episode.
 
     Attributes:
-        batch: As given.
         actions: As given.
         last_actions: As given.
         period: Length of the step, s.

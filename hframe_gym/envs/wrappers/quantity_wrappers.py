@@ -26,12 +26,7 @@ _LIMIT = 10.0  # of observed quantities, in multiples of their typical largest v
 
 
 class _Recorder:
-    """Makes the record of each step of a batch, and remembers the actions of the step before.
-
-    Args:
-        env: Environment whose `unwrapped` has a batch.
-        names: Names of the quantities.
-    """
+    """Makes the record of each step of a batch, and remembers the actions of the step before."""
 
     def __init__(self, env: Any, names: Sequence[str]) -> None:
         batch = getattr(env.unwrapped, "batch", None)
@@ -160,11 +155,7 @@ class CostWrapper(_Recording):
 
 
 class _Observed:
-    """Quantities as entries of an observation.
-
-    Args:
-        quantities: The quantities.
-    """
+    """Quantities as entries of an observation."""
 
     def __init__(self, quantities: Iterable[Quantity]) -> None:
         self._scales = np.array([quantity.largest for quantity in quantities])
@@ -192,10 +183,6 @@ class ObserveQuantities(_Recording):
 
     Each is divided by its typical largest value and limited to [-10, 10]. At the beginning of an episode they are those
     of the start with actions of zero.
-
-    Args:
-        env: Environment of this package.
-        names: Names in `QUANTITIES`.
 
     Raises:
         InputError: If a name is unknown or the environment is of another package.
@@ -254,10 +241,6 @@ class _VectorRecording(VectorWrapper):
 class VectorPenaltyWrapper(_VectorRecording):
     """`PenaltyWrapper` for `HFrameVectorEnv`; where an episode begins in a step, nothing is subtracted.
 
-    Args:
-        env: Vector environment of this package.
-        weights: Weight of each quantity, reward per unit of the quantity.
-
     Raises:
         InputError: As `PenaltyWrapper`, and with the autoreset mode "SameStep".
     """
@@ -276,8 +259,6 @@ class VectorCostWrapper(_VectorRecording):
     """`CostWrapper` for `HFrameVectorEnv`; where an episode begins in a step, the cost is zero.
 
     Args:
-        env: Vector environment of this package.
-        limits: Limit of each quantity, in its unit.
         six_values: Whether `step` returns the costs, shape (num_envs,), as its third value.
 
     Raises:
@@ -294,15 +275,7 @@ class VectorCostWrapper(_VectorRecording):
 
 
 class VectorObserveQuantities(_VectorRecording):
-    """`ObserveQuantities` for `HFrameVectorEnv`.
-
-    Args:
-        env: Vector environment of this package.
-        names: Names in `QUANTITIES`.
-
-    Raises:
-        InputError: As `ObserveQuantities`, and with the autoreset mode "SameStep".
-    """
+    """`ObserveQuantities` for `HFrameVectorEnv`."""
 
     def __init__(self, env: VectorEnv, names: Sequence[str]) -> None:
         super().__init__(env, names)

@@ -26,11 +26,7 @@ _JSON_START = re.compile(rb"(?:\xef\xbb\xbf)?\s*(?:\{\s*[\"}]|\[\s*(?:[\"\[{]|-?
 
 
 def refuse_foreign_file(path: Path, start: bytes) -> None:
-    """Refuse a file of a kind that is not read.
-
-    Args:
-        path: File of the log, for the message.
-        start: Its first bytes.
+    """Refuse a file of a kind that is not read, which its name or first bytes show.
 
     Raises:
         InputError: If it is of such a kind. The message names it and says how to export the data.
@@ -41,12 +37,5 @@ def refuse_foreign_file(path: Path, start: bytes) -> None:
 
 
 def is_json(path: Path, start: bytes) -> bool:
-    """Return whether a file is JSON, by its name or its beginning.
-
-    Args:
-        start: Its first bytes.
-
-    Returns:
-        True for a name that ends in .json, and for a text that begins like an object or a list of JSON.
-    """
+    """Return whether a file is JSON: its name ends in .json, or its first bytes begin an object or a list."""
     return path.suffix.lower() == ".json" or _JSON_START.match(start) is not None

@@ -52,7 +52,6 @@ class Log:
     """Log file whose columns are known and whose values are read on demand.
 
     Attributes:
-        path: The file.
         columns: Its columns in the order of the file.
         remarks: Remarks for the user on the file's format, where it differs from that of a recording.
         reader: Function that reads the values of columns by index in `columns`, followed by `times`, see `read`.
@@ -100,15 +99,13 @@ class Log:
         return self.reader([known.index(column) for column in columns], progress)
 
     def columns_called(self, reference: str) -> list[LogColumn]:
-        """Find the columns that a user may mean by a reference.
+        """Find the columns that a user may mean by a reference, none if no column fits.
+
+        The first of these criteria that a column meets counts: number equal to the reference; equal header; equal
+        header but for upper and lower case; equal name without unit but for upper and lower case.
 
         Args:
             reference: "#3" for the third column, a header, or a name without its unit.
-
-        Returns:
-            All columns that meet the first of these criteria that is met at all: number equal to the reference; equal
-            header; equal header but for upper and lower case; equal name without unit but for upper and lower case.
-            Empty if no column meets any of them.
         """
         if re.fullmatch(r"#\d+", reference) and 1 <= int(reference[1:]) <= len(self.columns):
             return [self.columns[int(reference[1:]) - 1]]
@@ -118,42 +115,19 @@ class Log:
         return exact or same_header or same_name
 
     def columns_named_like(self, channel: str) -> list[LogColumn]:
-        """Find the columns that have the name of a channel.
-
-        Args:
-            channel: Name of a channel with its unit, such as "x_m".
-
-        Returns:
-            The column whose header equals the channel's name. If there is none: all columns with the same name without
-            unit (case, blanks and punctuation do not matter).
-        """
+        """Find the column whose header is a channel, such as "x_m"; else all with its name without unit."""
         name = plain_name(split_unit(channel)[0])
         named = [column for column in self.columns if plain_name(column.name) == name]
         return [column for column in self.columns if column.header == channel] or named
 
 
 def plain_name(name: str) -> str:
-    """Simplify a name for comparisons.
-
-    Args:
-        name: Name of a column.
-
-    Returns:
-        The name in lower case without blanks and punctuation, except "#"; for example "posx" for "Pos. X".
-    """
+    """Return a name in lower case without blanks and punctuation, except "#": "posx" for "Pos. X"."""
     return re.sub(r"[^\w#]|_", "", name.lower())
 
 
 def headers_text(columns: Sequence[LogColumn]) -> str:
-    """List the headers of columns in one text, for messages.
-
-    Args:
-        columns: Columns of a log.
-
-    Returns:
-        Headers separated by commas; a unit from a row of units follows its header in brackets. Beyond 200 columns their
-        number is given.
-    """
+    """List the headers of columns, for messages, with units from a row of units; beyond 200 columns, their number."""
     listed = [
         c.header if c.name != c.header or not c.unit else f"{c.header} [{c.unit}]" for c in columns[:_LISTED]
     ]
@@ -162,15 +136,12 @@ def headers_text(columns: Sequence[LogColumn]) -> str:
 
 
 def log_columns(headers: Sequence[str], units: Sequence[str], kinds: Sequence[str]) -> tuple[LogColumn, ...]:
-    """Build the columns of a table.
+    """Build the columns of a table; repeated names get a number, and empty ones that of the column.
 
     Args:
         headers: Headers as written in the file, possibly with units.
         units: Units that the file states elsewhere, "" where it does not.
         kinds: What each column contains: "number", "stamp" or "text".
-
-    Returns:
-        Columns, whose repeated names get a number and whose empty ones get that of the column.
     """
     columns: list[LogColumn] = []
     for position, (written, unit, kind) in enumerate(zip(headers, units, kinds, strict=True), start=1):

@@ -46,17 +46,12 @@ class LogConverter:
     """Converts the logs of one session to recordings with a common clock.
 
     Attributes:
-        machine: Machine that was logged.
         day: Midnight before the first time stamp of the first log; the times of all logs count from it. None until a
             time stamp is read.
     """
 
     def __init__(self, machine: Machine) -> None:
-        """Create a converter for the logs of a session.
-
-        Args:
-            machine: Machine that was logged.
-        """
+        """Create a converter for the logs of a session."""
         self.machine = machine
         self.day: np.datetime64 | None = None
 

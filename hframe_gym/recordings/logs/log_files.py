@@ -15,14 +15,10 @@ from .log import Log
 
 
 def open_logs(path: Path) -> list[Log]:
-    """Open a log of a controller or data logger in any registered format, and determine its columns.
+    """Open the logs of a file, in any registered format, and determine the names, units and rows of their columns.
 
     Args:
         path: File of the log, or a folder that is one log, such as a bag of ROS 2.
-
-    Returns:
-        The logs of the file with the names, units and numbers of rows of their columns. Values, shape (rows,), are read
-        by `Log.read`.
 
     Raises:
         InputError: If the file is empty, has no columns of numbers, or is of a kind that cannot be read. The message
@@ -84,37 +80,19 @@ def find_logs(path: str | Path) -> tuple[list[Path], list[Path]]:
 
 
 def log_name(path: Path) -> str:
-    """Return the name of the run to which a log is converted: its file name without .gz and without its ending.
-
-    Args:
-        path: File of the log, or a folder that is one log.
-
-    Returns:
-        The name, for example "test_3" for test_3.csv.gz.
-    """
+    """Return the name of the run of a log, or of a folder that is one: "test_3" for test_3.csv.gz."""
     if path.is_dir():
         return path.name
     return Path(path.stem if path.suffix.lower() == ".gz" else path.name).stem
 
 
 def run_of(log: Log) -> str:
-    """Return the name of the run to which a log is converted, before it is cut.
-
-    Returns:
-        The name.
-    """
+    """Return the name of the run to which a log is converted, before it is cut."""
     return log.run or "_".join(filter(None, (log_name(log.path), log.part)))
 
 
 def log_size(path: Path) -> int:
-    """Return the size of a log, for the display of progress.
-
-    Args:
-        path: File of the log, or a folder that is one log.
-
-    Returns:
-        Number of bytes.
-    """
+    """Return the size of a log, or of a folder that is one log, in bytes, for the display of progress."""
     return (
         sum(p.stat().st_size for p in path.iterdir() if p.is_file()) if path.is_dir() else path.stat().st_size
     )

@@ -51,17 +51,7 @@ class Interval(NamedTuple):
 
 
 def parse_interval(text: str) -> Interval:
-    """Read an interval as the option --cut has it.
-
-    Args:
-        text: "FROM:TO", or "LOG=FROM:TO" for one of several logs; times in s.
-
-    Returns:
-        The interval.
-
-    Raises:
-        InputError: If the text has another form, or the end is not after the beginning.
-    """
+    """Read an interval of times, s, as --cut has it: "FROM:TO", or "LOG=FROM:TO" for one of several logs."""
     name, _, span = text.rpartition("=")
     first, _, last = span.partition(":")
     try:
@@ -168,12 +158,6 @@ def read_mapping_file(path: str | Path) -> MappingOptions:
     column) and `scale` (factor, applied after the conversion from `unit`). In TOML, for example: map.v1_V = "U1",
     unit.phi1_rad = "deg", scale.x_m = 0.001.
 
-    Args:
-        path: File ending in .toml or .json.
-
-    Returns:
-        The three tables, as `import_logs` takes them.
-
     Raises:
         InputError: If the file cannot be read or has other tables or values. The message names file and field.
     """
@@ -206,14 +190,10 @@ def read_mapping_file(path: str | Path) -> MappingOptions:
 
 
 def parse_factor(where: str, factor: object) -> float:
-    """Read a factor that a user gave for a column of a log, by which the values of the column are multiplied.
+    """Read a dimensionless factor, a number or a text, by which the values of a column of a log are multiplied.
 
     Args:
         where: File and field, or option, that has the factor, for the message.
-        factor: Number or text, for example "0.001".
-
-    Returns:
-        The factor, dimensionless.
 
     Raises:
         InputError: If it is not a number, or its absolute value is not from 1e-30 to 1e30.

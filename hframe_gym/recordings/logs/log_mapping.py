@@ -131,14 +131,7 @@ class ProposedColumns(NamedTuple):
 
 
 def propose_columns(log: Log, machine: Machine) -> ProposedColumns:
-    """Say which columns of a log `map_columns` assigns by name, and propose columns for the other channels.
-
-    Args:
-        log: Opened log with its columns.
-
-    Returns:
-        Headers by channel and by "time_s".
-    """
+    """Say which columns of a log `map_columns` assigns by name, and propose columns for the other channels."""
     return _LogMapping(log, machine, MappingOptions()).proposals()
 
 

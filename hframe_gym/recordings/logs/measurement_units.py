@@ -62,28 +62,15 @@ class Conversion:
     denominator: float = 1.0
 
     def apply(self, values: Array) -> Array:
-        """Convert the values of a column to the unit of the channel.
-
-        Args:
-            values: Values of a column, in the unit of the log, shape (rows,).
-
-        Returns:
-            Values times the numerator, divided by the denominator, in the unit of the channel, shape (rows,).
-        """
+        """Convert `values` of a column, in the unit of the log, shape (rows,), to the unit of the channel."""
         scaled = values if self.numerator == 1.0 else values * self.numerator
         return scaled if self.denominator == 1.0 else scaled / self.denominator
 
     def scaled(self, factor: float) -> Conversion:
-        """Combine this conversion with a further factor.
+        """Combine this conversion with a dimensionless `factor`, not zero.
 
         If the inverse of the factor is a whole number, the conversion divides by it. This rounds correctly: 0.001
         itself is not exact in binary numbers.
-
-        Args:
-            factor: Factor, dimensionless, not zero.
-
-        Returns:
-            The combined conversion.
         """
         inverse = round(1.0 / factor)
         if abs(inverse) > 1 and abs(inverse * factor - 1.0) < 1e-12:
@@ -106,14 +93,7 @@ class UnitConversion(NamedTuple):
 
 
 def parse_rate(text: str) -> float | None:
-    """Read a sampling rate such as "200Hz" or "1 kHz".
-
-    Args:
-        text: Number and unit.
-
-    Returns:
-        Rate, Hz, positive; None if the text is something else.
-    """
+    """Read a sampling rate such as "200Hz" or "1 kHz", Hz, positive; None if the text is something else."""
     rate = _RATE.fullmatch(text.strip())
     value = float(rate["rate"]) * (1e3 if rate["prefix"] else 1.0) if rate else 0.0
     return value if 0.0 < value < np.inf else None
@@ -121,9 +101,6 @@ def parse_rate(text: str) -> float | None:
 
 def channel_dimension(machine: Machine, channel: str) -> Dimension:
     """Return the quantity of a channel.
-
-    Args:
-        channel: Name of a channel of this machine, or "time_s".
 
     Returns:
         "time"; for an output that of its unit, such as "length", "angular speed" or "current". For an input, the
@@ -154,9 +131,6 @@ def accepted_units(machine: Machine, channel: str) -> dict[str, UnitConversion]:
     carriage, it may also be the angle or speed of the motor. The column of an input may be a fraction of the drive's
     rated value, and for a drive without back-EMF (`Ke` 0, an amplifier that controls the current) a current or the
     torque of the motor.
-
-    Args:
-        channel: Name of a channel of this machine, or "time_s".
 
     Returns:
         Conversions by unit: first the units of the channel's quantity, beginning with the SI unit, then units of the
@@ -213,15 +187,10 @@ def _input_units(machine: Machine, channel: str, dimension: Dimension) -> dict[s
 
 
 def wrong_unit_message(machine: Machine, channel: str, unit: str) -> str:
-    """Write the message for a column whose unit its channel cannot have, such as mm for a voltage.
+    """Write the message, without file and column, for a unit that a channel cannot have, such as mm for a voltage.
 
-    Args:
-        channel: Name of a channel of this machine, or "time_s".
-        unit: Unit of the column, which the channel cannot have.
-
-    Returns:
-        Message that does not name file and column. It proposes the options --unit, with the possible units, and
-        --scale. If `unit` is encoder counts, it also proposes a factor: the declared resolution of the sensor.
+    It proposes the options --unit, with the possible units, and --scale. If `unit` is encoder counts, it also proposes
+    a factor: the declared resolution of the sensor.
     """
     factor = f"a factor to {SI_UNITS[channel_dimension(machine, channel)]} by --scale {channel}=FACTOR"
     resolution = machine.sensor(channel).resolution if channel in machine.output_channels else 0.0
@@ -234,16 +203,10 @@ def wrong_unit_message(machine: Machine, channel: str, unit: str) -> str:
 
 
 def scaled_speed_message(machine: Machine, channel: str, unit: str) -> str:
-    """Write the message for a column in a unit of speed, for which the user gave a factor (--scale) but no unit.
+    """Write the message, without file and column, for a column in a unit of speed with a factor (--scale) but no unit.
 
-    Such a column is refused, because it is not known whether its values times the factor are speeds or positions.
-
-    Args:
-        channel: Name of an output channel of this machine.
-        unit: Unit of the speed in the log.
-
-    Returns:
-        Message that does not name file and column. It proposes the option --unit with which the speed is integrated.
+    Such a column is refused, because it is not known whether its values times the factor are speeds or positions. The
+    message proposes the option --unit with which the speed is integrated.
     """
     dimension = channel_dimension(machine, channel)
     problem = f"{unit} is a speed, not {'a length' if dimension == 'length' else 'an angle'}"

@@ -29,9 +29,6 @@ def obstacle(machine: Machine, channel: str, column: Meaning, unit: str | None, 
     user states overrides it. A column whose header says nothing can be everything.
 
     Args:
-        machine: Machine with the channel.
-        channel: Name of a channel of this machine, or "time_s".
-        column: What the column contains by its header.
         unit: Unit that the user stated for the channel (--unit); None if none is stated.
         scaled: Whether the user stated a factor (--scale).
 

@@ -29,19 +29,16 @@ from .schema import (
 def load_machine(source: str | Path | Machine) -> Machine:
     """Load a machine: a preset by name, or a machine.json by path.
 
+    Warns:
+        UserWarning: For each value of the file that is possible but not plausible, such as a length in millimeters.
+
     Args:
         source: Name of a preset (a key of `BUILTIN_MACHINES`, for example "hframe"), path of a machine.json, or a
             machine, which is returned unchanged.
 
-    Returns:
-        The machine.
-
     Raises:
         InputError: If the source is of another type, neither a file nor a preset, or a field of the file is invalid.
             The message names the file and the field.
-
-    Warns:
-        UserWarning: For each value of the file that is possible but not plausible, such as a length in millimeters.
     """
     if isinstance(source, Machine):
         return source
@@ -81,14 +78,9 @@ def save_machine(machine: Machine, path: str | Path) -> None:
 
 
 def machine_to_dict(machine: Machine) -> dict[str, Any]:
-    """Convert a machine to the content of its machine.json.
+    """Convert a machine to the content of its machine.json, with the fields of the schema (`MachineFile`).
 
-    Args:
-        machine: Machine to convert.
-
-    Returns:
-        Content with the fields of the schema (`MachineFile`), made of dictionaries, lists, strings and numbers only.
-        Every parameter has its unit, an identified one also its standard deviation.
+    Every parameter has its unit, an identified one also its standard deviation.
     """
     effects = [
         {

@@ -55,7 +55,6 @@ class MachineReader:
     """Convert the content of one file to a machine; every error and warning names the file and the field.
 
     Attributes:
-        path: Path of the file.
         content: Its content, which has the right fields and types.
     """
 
@@ -64,9 +63,6 @@ class MachineReader:
 
     def machine(self) -> Machine:
         """Convert the content of a machine.json to a machine; warn of each of the `implausible_values`.
-
-        Returns:
-            The machine.
 
         Raises:
             InputError: If a name, unit, sign, reference or covariance is wrong, or an effect cannot act at its site.
@@ -408,9 +404,6 @@ def implausible_values(machine: Machine) -> list[tuple[str, str]]:
     - Carriages (linear coordinates) that cannot move without stretching a belt.
     - The coordinate y listed before x.
     - Sensors whose names end in another unit than m or rad, such as x_mm.
-
-    Args:
-        machine: Machine as its file declares it.
 
     Returns:
         For each doubtful value: name of the field with dots, such as "belts.left.rest_length", and a sentence that says

@@ -290,9 +290,6 @@ def field_descriptions(table: type[Table]) -> dict[str, str]:
     The JSON Schema and docs/machine.md quote them. They are read from the `Attributes` sections of the docstrings of
     the components, of the object's class and of `Table`.
 
-    Args:
-        table: Class of the object, such as `DriveEntry` or `SensorEntry`.
-
     Returns:
         Description by name of the field in the file; the field `comment` is last.
     """
@@ -305,9 +302,6 @@ def machine_json_schema() -> dict[str, Any]:
 
     It describes types, units and signs. Other rules, such as that a belt refers to existing coordinates or that a unit
     suits a linear or rotary coordinate, are checked by `load_machine` alone.
-
-    Returns:
-        JSON Schema as dictionaries, lists, strings and numbers.
     """
     schema = MachineFile.model_json_schema(by_alias=True)
     definitions = schema.pop("$defs")

@@ -240,11 +240,7 @@ class TemplateQuestion:
 
 
 def template_questions(like: str) -> tuple[TemplateQuestion, ...]:
-    """Return the options that a template has, in the order in which they are asked for; they follow from its machine.
-
-    Args:
-        like: Template, one of `TEMPLATES`.
-    """
+    """Return the options of a template in the order in which they are asked for; they follow from its machine."""
     machine = BUILTIN_MACHINES[like]()
     drive, axes = machine.drives[0], [machine.coordinate(name) for name in machine.tool_axes]
     moved = machine.coordinate(drive.coordinate)
@@ -295,11 +291,7 @@ def new_machine(like: str, name: str, options: MachineOptions) -> Machine:
 
     Args:
         like: Template, one of `TEMPLATES`.
-        name: Name of the new machine.
         options: Values of the new machine, each None where the template's value is kept.
-
-    Returns:
-        The machine.
 
     Raises:
         InputError: If the template or a parameter in `options.values` is unknown, an option is not positive or does not
@@ -332,8 +324,6 @@ def write_machine_template(like: str, machine: Machine, path: Path) -> None:
     """Write a new machine to a machine.json with comments that explain its fields.
 
     Args:
-        like: Template of the machine, one of `TEMPLATES`.
-        machine: Machine that `new_machine` created from it.
         path: File to write; a missing folder is created, an existing file is replaced.
 
     Raises:
@@ -366,15 +356,7 @@ def write_machine_template(like: str, machine: Machine, path: Path) -> None:
 
 
 def compact_json(value: Any, indent: int = 0) -> str:
-    """Format JSON for people: an object or list is written on one line if it fits there (100 characters).
-
-    Args:
-        value: Dictionaries, lists, strings and numbers.
-        indent: Number of spaces before the closing bracket if the text has several lines; entries have two more.
-
-    Returns:
-        JSON text without a line break at the end.
-    """
+    """Format JSON for people: an object or list is on one line if it fits there (100 characters)."""
     text = json.dumps(value, ensure_ascii=False)
     if len(text) + indent <= _LINE or not isinstance(value, dict | list):
         return text

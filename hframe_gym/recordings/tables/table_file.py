@@ -57,15 +57,7 @@ def read_table(
 
 
 def recording_files(folder: Path) -> list[Path]:
-    """List the recordings of a folder.
-
-    Args:
-        folder: Folder of the runs; files with other endings than .csv, .csv.gz and .parquet, and hidden files, are
-            ignored.
-
-    Returns:
-        Files in alphabetical order.
-    """
+    """List the recordings, .csv, .csv.gz and .parquet, of a folder in alphabetical order, without hidden files."""
     return sorted(
         p
         for p in folder.iterdir()
@@ -81,8 +73,6 @@ def compressed_by_name(
     Equal contents give identical files, because the header of gzip gets no name and no time.
 
     Args:
-        path: Name of the file.
-        file: File to write to, open for binary data.
         level: Compression level of gzip, 0 to 9; higher levels take longer and save space.
 
     Returns:
@@ -94,11 +84,7 @@ def compressed_by_name(
 
 
 def import_command(path: Path) -> str:
-    """Return the command line `hframe import ...` that converts a log to recordings, for error messages.
-
-    Returns:
-        Command line for a shell; its output folder RUNS is a placeholder.
-    """
+    """Return the command line `hframe import ... RUNS` that converts a log to recordings, for error messages."""
     return f"hframe import {quoted(str(path))} --out RUNS"
 
 
@@ -121,8 +107,6 @@ def refuse_rows(path: Path, name: str, column: Array, invalid: NDArray[np.bool_]
     """Raise an error if a column of a file has invalid values; the message shows the first one.
 
     Args:
-        path: File of the column, for the message.
-        name: Name of the column, for the message.
         column: Values of the column, in its unit, shape (rows,).
         invalid: True for each invalid row, shape (rows,).
         reason: Text that follows the value in the message, for example "is infinite".
@@ -135,15 +119,7 @@ def refuse_rows(path: Path, name: str, column: Array, invalid: NDArray[np.bool_]
 
 
 def refuse_decreasing_times(path: Path, time_s: Array) -> None:
-    """Raise an error if times do not increase strictly.
-
-    Args:
-        path: File of the times, for the message.
-        time_s: Times, s, shape (rows,).
-
-    Raises:
-        InputError: If a time is not greater than the time before. The message names file and row.
-    """
+    """Raise an InputError, with file and row, if times `time_s`, s, shape (rows,), do not increase strictly."""
     backward = np.flatnonzero(np.diff(time_s) <= 0.0)
     if len(backward):
         row = int(backward[0]) + 2
@@ -154,9 +130,6 @@ def refuse_decreasing_times(path: Path, time_s: Array) -> None:
 
 def read_path(path: str | Path) -> tuple[Array, Array | None]:
     """Read the path that the tool follows in the task `track`: columns x_m and y_m, and optionally time_s.
-
-    Args:
-        path: CSV or Parquet file of the path.
 
     Returns:
         Points (x, y) of the tool, m, shape (n, 2), and their times, s, shifted so that the first is zero, shape (n,),
@@ -205,9 +178,6 @@ def _read_csv(
 def open_parquet(path: Path) -> Any:
     """Open a Parquet file without reading its columns, and check that they are not too large for the memory.
 
-    Returns:
-        File, an object of the class `pyarrow.parquet.ParquetFile`.
-
     Raises:
         InputError: If pyarrow is missing, the file is damaged, two columns have the same name, the columns have more
             than 1e9 values, or their content is larger than 64 MB and than 100 times the file.
@@ -234,15 +204,10 @@ def open_parquet(path: Path) -> Any:
 
 
 def read_parquet_column(path: Path, file: Any, name: str, max_rows: int | None = None) -> Any:
-    """Read one column of a Parquet file.
+    """Read one column, a `pyarrow.ChunkedArray`, of a file that `open_parquet` has opened.
 
     Args:
-        path: Path of the file, for messages.
-        file: The file as opened by `open_parquet` (a `pyarrow.parquet.ParquetFile`).
         max_rows: Number of rows after which reading stops. Default: all rows are read.
-
-    Returns:
-        The column, an object of the class `pyarrow.ChunkedArray`.
 
     Raises:
         InputError: If the column is damaged.
@@ -259,15 +224,7 @@ def read_parquet_column(path: Path, file: Any, name: str, max_rows: int | None =
 
 
 def parquet_numbers(path: Path, name: str, column: Any) -> Array:
-    """Convert a column of a Parquet file to numbers.
-
-    Args:
-        path: File of the column, for messages.
-        name: Name of the column, for messages.
-        column: Column of integers, floating-point or decimal numbers or Booleans.
-
-    Returns:
-        Numbers, shape (rows,); NaN where the column has no value.
+    """Convert a column of a Parquet file to numbers, shape (rows,); NaN where it has no value.
 
     Raises:
         InputError: If a value cannot be converted, such as an integer beyond the exact range of floating-point numbers.

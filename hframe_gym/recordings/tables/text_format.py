@@ -84,14 +84,7 @@ class TextFormat:
     edits: tuple[tuple[re.Pattern[str], str], ...] = ()
 
     def edited(self, text: str) -> str:
-        """Remove from lines the parts that do not belong to a table, see `edits`.
-
-        Args:
-            text: Complete lines below the header.
-
-        Returns:
-            The same lines without these parts.
-        """
+        """Remove from complete lines below the header the parts that do not belong to a table, see `edits`."""
         for pattern, replacement in self.edits:
             text = pattern.sub(replacement, text)
         return text
@@ -102,9 +95,6 @@ def detect_format(path: Path) -> TextFormat:
 
     Args:
         path: Text file, possibly compressed by gzip.
-
-    Returns:
-        Description of the format.
 
     Raises:
         InputError: If the file cannot be read, is empty or is not text, its first line is too long, or commas are both
@@ -215,17 +205,10 @@ def open_text(path: Path, encoding: str) -> Iterator[tuple[TextIO, BinaryIO]]:
 
 
 def split_row(line: str, separator: str) -> list[str]:
-    """Split a line of a table into cells, without the blanks and quotation marks around them.
+    """Split a line into cells, without the blanks and quotation marks around them; a blank separates as several do.
 
     A separator between quotation marks does not split a cell. If the separator is a blank, however, quotation marks
     have no effect and are kept.
-
-    Args:
-        line: Line of a table.
-        separator: Character between the cells; a blank means one or more blanks.
-
-    Returns:
-        The cells.
     """
     if separator == _WHITESPACE:
         return line.split()
@@ -240,26 +223,12 @@ def split_row(line: str, separator: str) -> list[str]:
 
 
 def is_missing(cell: str) -> bool:
-    """Return whether a cell has no value: whether it is empty or a word such as NA, NaN, null or #N/A.
-
-    Args:
-        cell: Text of the cell, without blanks around it.
-
-    Returns:
-        True if the cell has no value.
-    """
+    """Return whether a cell has no value: whether it is empty or a word such as NA, NaN, null or #N/A."""
     return _MISSING.fullmatch(cell) is not None
 
 
 def is_stamp(cell: str) -> bool:
-    """Return whether a cell is a time stamp: a time of day, a date (2024-05-31 or 31.05.2024), or both.
-
-    Args:
-        cell: Text of the cell, without blanks around it.
-
-    Returns:
-        True for a time stamp.
-    """
+    """Return whether a cell is a time stamp: a time of day, a date (2024-05-31 or 31.05.2024), or both."""
     return _TIME_STAMP.fullmatch(cell) is not None
 
 

@@ -44,14 +44,11 @@ _TIME_ZONE = re.compile(r"(?:Z|[+-]\d\d:?\d\d)$")
 
 
 def cumulative(progress: Callable[[int, int], None] | None, total: int) -> Progress:
-    """Return a function that adds up the increments of some work and reports the sum.
+    """Return a function that adds up increments of some work and reports the sum to `progress`, if there is one.
 
     Args:
         progress: Called with the sum so far and the total, after each increment. None: nothing is reported.
         total: Sum at the end of the work.
-
-    Returns:
-        Function to call with each increment.
     """
     done = 0
 
@@ -118,9 +115,6 @@ def read_columns(
 
 def parse_stamps(cells: Sequence[str]) -> NDArray[np.datetime64]:
     """Convert time stamps (dates, times of day, or both) to NumPy's time type.
-
-    Args:
-        cells: Texts, for example 2024-05-31T12:00:00.5, 31.05.2024 12:00:00.5 or 12:00:00.5; time zones are ignored.
 
     Returns:
         Times, datetime64[ns], shape (len(cells),). A time of day has the date 1970-01-01; a missing value is NaT.

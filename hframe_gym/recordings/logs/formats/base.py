@@ -35,22 +35,16 @@ class LogFormat(ABC):
 
     @abstractmethod
     def recognizes(self, path: Path, start: bytes) -> bool:
-        """Return whether a file has this format, by its content or, if that says nothing, by its name.
+        """Return whether a file, damaged or not, has this format, by its content or, if need be, by its name.
 
         Args:
             path: File of a log, or folder that `logs_in` returns.
             start: First `START_BYTES` bytes of the file; empty for a folder.
-
-        Returns:
-            True if the file has the format, also if it is damaged.
         """
 
     @abstractmethod
     def open(self, path: Path) -> list[Log]:
         """Open a file of this format and determine its columns.
-
-        Args:
-            path: File that `recognizes` accepts.
 
         Returns:
             The logs in the file, with columns of the shape (rows,); each becomes one or more runs.
@@ -60,39 +54,19 @@ class LogFormat(ABC):
         """
 
     def logs_in(self, folder: Path) -> list[Path]:
-        """Find the logs of a folder that is as a whole a data set of this format.
-
-        Args:
-            folder: Folder that the user named, or a folder in it.
-
-        Returns:
-            Files to open, or the folder itself; empty if the folder is no such data set.
-        """
+        """Return the files to open, or the folder itself, if it is as a whole a data set of this format."""
         return []
 
     def is_log(self, path: Path) -> bool:
-        """Return whether a file of a folder is a log, which its ending may leave open.
-
-        Args:
-            path: File with one of the endings.
-
-        Returns:
-            True for a log; False for another file with the same ending, such as readme.txt.
-        """
+        """Return whether a file with one of the endings is a log, and not another one such as readme.txt."""
         return True
 
 
 def require_extra(path: Path, what: str, extra: str, modules: Sequence[str], advice: str) -> None:
-    """Refuse a file whose reader is not installed.
+    """Refuse a file, with an InputError, if a module is missing that the extra installs; advise what to do instead.
 
     Args:
         what: Kind of the file in the plural, such as "HDF5 files".
-        extra: Extra of this package that installs the reader.
-        modules: Modules that the reader needs.
-        advice: What to do instead.
-
-    Raises:
-        InputError: If a module is missing.
     """
     if any(importlib.util.find_spec(module) is None for module in modules):
         raise InputError(f"{path}: reading {what} needs pip install 'hframe_gym[{extra}]'; or {advice}")

@@ -51,9 +51,6 @@ def vectors(name: str, value: Any) -> Iterator[tuple[str, NDArray[np.float64]]]:
 def objects(path: str) -> dict[str, Any]:
     """Read the tables, timetables and timeseries of a MATLAB file, which Simulink writes by default.
 
-    Args:
-        path: File to read, of any version.
-
     Returns:
         Dictionaries by name of the variable, with the properties as MATLAB names them: columns of a table; Time, s, and
         Data of a timeseries. Other objects are left out; all of them without the package mat-io, or if it does not

@@ -44,9 +44,6 @@ class MessageSource(ABC):
     def messages(self, topic: str) -> Iterator[tuple[int, Any]]:
         """Read the messages of a topic.
 
-        Args:
-            topic: One of `topics`.
-
         Yields:
             Time of the recorder, ns since 1970, and message: dictionaries, objects with fields, lists, arrays of any
             shape, numbers and texts.
@@ -63,10 +60,6 @@ class UnreadableError(Exception):
 
 def log_of_messages(path: Path, source: MessageSource, remarks: tuple[str, ...]) -> Log:
     """Open the numbers in the messages of a file as a log.
-
-    Args:
-        source: Its messages.
-        remarks: Sentences for the user about the file.
 
     Returns:
         Log whose columns have the shape (rows,); the time of a row is that in the header of its message, if it has one
@@ -96,14 +89,10 @@ def log_of_messages(path: Path, source: MessageSource, remarks: tuple[str, ...])
 
 
 def numbers_of(message: Any, name: str) -> dict[str, float]:
-    """Find all numbers in a message.
+    """Find all numbers in a message, by name; long lists, texts and the time of the header are left out.
 
     Args:
-        message: Message, see `MessageSource.messages`.
         name: Name of its topic, with which the names of the numbers begin.
-
-    Returns:
-        Numbers by name, in the units of the message; long lists, texts and the time of the header are left out.
     """
     found: dict[str, float] = {}
     members = _members(message)

@@ -77,14 +77,10 @@ class ParquetTable:
         self.columns = tuple(columns)
 
     def read(self, indices: Sequence[int], progress: Progress | None = None) -> list[NDArray[Any]]:
-        """Read the values of columns.
+        """Read columns: numbers or instants (datetime64[ns]), shape (rows,) each.
 
         Args:
-            indices: Indices of the columns in `columns`.
             progress: Called with the number of bytes read since the last call.
-
-        Returns:
-            Numbers, or instants (datetime64[ns]), shape (rows,) each.
 
         Raises:
             InputError: If a column contains texts or is damaged.

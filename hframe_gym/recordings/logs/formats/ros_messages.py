@@ -31,7 +31,6 @@ class RosDecoder:
 
         Args:
             name: Name of the type, such as "sensor_msgs/msg/JointState".
-            text: Its definition in the file.
             idl: Whether the definition is in IDL, which few recorders write, rather than in the form of .msg files.
 
         Raises:
@@ -62,13 +61,7 @@ class RosDecoder:
         self._store.max_sequence_length = _LONGEST_LIST
 
     def decoder(self, name: str, *, ros1: bool) -> Callable[[bytes], Any]:
-        """Return the function that decodes messages of a type.
-
-        Args:
-            ros1: Whether the messages are serialized as in ROS 1.
-
-        Returns:
-            Function from the bytes of a message to an object with its fields.
+        """Return the function from the bytes of a message of a type, serialized as in ROS 1 or 2, to its object.
 
         Raises:
             UnreadableError: If the type is not known.
@@ -80,32 +73,12 @@ class RosDecoder:
 
 
 def ros2_name(name: str) -> str:
-    """Return the name of a type as ROS 2 writes it: "std_msgs/msg/Float64" for "std_msgs/Float64".
-
-    Args:
-        name: Name of the type in any version.
-
-    Returns:
-        Name with the folder of the definitions.
-    """
+    """Return the name of a type as ROS 2 writes it: "std_msgs/msg/Float64" for "std_msgs/Float64"."""
     return name if name.count("/") != 1 else name.replace("/", "/msg/")
 
 
 def decoded(where: str, number: int, decode: Callable[[bytes], Any], content: bytes) -> Any:
-    """Decode one message.
-
-    Args:
-        where: File and topic, for the error.
-        number: Number of the message in its topic, from 1.
-        decode: Function from the bytes to the message.
-        content: Bytes of the message.
-
-    Returns:
-        The message.
-
-    Raises:
-        InputError: If it is damaged.
-    """
+    """Decode message `number` (from 1) of a file and topic, `where`; an InputError says that it is damaged."""
     try:
         return decode(content)
     except Exception as error:  # decoders raise many types for damaged messages

@@ -41,13 +41,10 @@ class TimedTable:
 
 
 def signal_columns(names: Sequence[str]) -> tuple[LogColumn, ...]:
-    """Build the columns of signals that are named like paths, such as "/arm/position[0]" or "/arm/angle_deg".
+    """Build the columns of numbers of signals that are named like paths: "/arm/position[0]" or "/arm/angle_deg".
 
     Args:
         names: Names of the signals. Only the part after the last slash may end in a unit; an index in brackets is none.
-
-    Returns:
-        Columns of numbers.
     """
     columns = []
     for name in names:
@@ -66,12 +63,7 @@ def log_of_tables(path: Path, tables: Sequence[TimedTable], remarks: tuple[str, 
     When columns are read, the rows of each table are sorted by time, and of rows with equal times the last is kept.
 
     Args:
-        tables: Tables with at least one column.
-        remarks: Sentences for the user about the file.
         part: Name of the part of the file; "" if it is one log.
-
-    Returns:
-        Log whose columns state their times.
     """
     times = [LogColumn(f"time of {table.name}", "time", "s", table.time_kind) for table in tables]
     columns: list[LogColumn] = []

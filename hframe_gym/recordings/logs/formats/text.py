@@ -47,7 +47,6 @@ def open_text_table(
     """Open a table in text.
 
     Args:
-        remarks: Sentences for the user, before those about the table.
         unit_of: Function from the name of a column to its unit, for columns whose unit the file does not state.
 
     Raises:
