@@ -83,7 +83,7 @@ def effect_sites(effect: Effect, machine: Machine) -> tuple[str, ...]:
         "drive": ("drives", *drives) if effect.shared and len(drives) > 1 else drives,
         "drives": ("drives", *drives) if len(drives) > 1 else ("drives",),
         "belts": effect.possible_sites(machine)[: None if len(machine.belts) > 1 else 1],
-        "sensor": tuple(s.channel for s in machine.sensors if s.of_position),
+        "sensor": machine.output_channels,
         "machine": ("machine",),
     }[effect.site]
     fits_site = effect.fits_site

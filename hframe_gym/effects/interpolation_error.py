@@ -5,7 +5,7 @@ period per turn of the measured coordinate is `eccentric_encoder`.
 """
 
 from ..dynamics.elementwise import sin
-from ..machine import Effect, EffectParameter
+from ..machine import Effect, EffectParameter, Machine
 
 
 def measurement(r, A, n, p):  # type: ignore[no-untyped-def]
@@ -23,6 +23,7 @@ EFFECT = Effect(
     formula="measurement = r + A sin(n r + p)",
     source="Heydemann 1981, Applied Optics 20(19), subdivision error of interferometers; its first harmonic",
     measurement=measurement,
+    fits_site=Machine.measures_position,
     parameters=(
         EffectParameter("A", "position", -1.0, 1.0, scale=1e-4, role="amplitude"),
         EffectParameter("n", "rad/position", 1e-3, 1e6, scale=0.1, role="rate"),

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..arrays import Array
 from ..dynamics.elementwise import maximum, minimum
-from ..machine import Effect, EffectParameter
+from ..machine import Effect, EffectParameter, Machine
 
 UNLIMITED = 10.0  # An end that was never reached is set to this multiple of the largest measurement.
 # Fraction of the measurements at one outermost value above which it may be the end of a range.
@@ -57,6 +57,7 @@ EFFECT = Effect(
     formula="measurement = clip(r, low, high)",
     source="Sollmann et al., section V",
     measurement=measurement,
+    fits_site=Machine.measures_position,
     range_ends=("low", "high"),
     starting_values=starting_values,
     signal_order=1,  # after scale and skew

@@ -29,6 +29,7 @@ EFFECT = Effect(
     measurement=measurement,
     equivalent=("a pulley's radius",),
     fits=fits,
+    fits_site=Machine.measures_position,
     # From a tenth to ten times the declared scale; the search starts from errors of about 1 %.
     parameters=(EffectParameter("g", "1", -0.9, 9.0, scale=0.01, role="amplitude"),),
 )

@@ -9,7 +9,9 @@ def measurement(r, across, a):  # type: ignore[no-untyped-def]
 
 
 def fits_site(machine: Machine, site: str) -> bool:
-    """Return whether the effect can act on a sensor (channel): it must measure one of two linear coordinates."""
+    """Return whether a sensor (channel) measures the position of one of two linear coordinates."""
+    if not machine.measures_position(site):
+        return False
     coordinate = machine.coordinate(machine.sensor(site).coordinate)
     return coordinate.kind == "linear" and machine.other_axis(coordinate.name) is not None
 

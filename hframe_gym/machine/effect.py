@@ -39,7 +39,7 @@ HOOKS: Mapping[str, tuple[str, ...]] = {
     "belt_travel": ("q", "z", "per_radius"),
     "lever_arm": ("q", "z", "per_radius"),
     "rest_angle_offset": ("q", "per_radius"),
-    "measurement": ("r", "across"),
+    "measurement": ("r", "q", "across"),
     "measurement_delay": (),
     "clock": ("z",),
     "next_state": ("z", "dq", "dt", "v", "dv", "level", "i", "V", "q", "N", "R", "power", "stall_power"),
@@ -143,7 +143,7 @@ class Effect:
     belt_travel         belt travel that a pulley adds, m                            q, z, per_radius
     lever_arm           derivative of that travel by the angle, m/rad                q, z, per_radius
     rest_angle_offset   angle by which a pulley at rest lags a round one, rad        q, per_radius
-    measurement         measured value of a sensor, in its unit                      r, across
+    measurement         measured value of a sensor, in its unit                      r, q, across
     measurement_delay   delay of a sensor, s
     clock               by which fraction steps last longer than by the log's clock  z
     next_state          state of the effect after the time dt                        z, dq, dt, v, dv, level, i, V, q,
@@ -167,7 +167,8 @@ class Effect:
       which the effect acts, W; stall_power: this sum if they stood still, W. For `initial_spread`, i is the current at
       standstill and the rated voltage, level that of the coordinate at the site without effects. Belt: s, rate, k:
       extension, m, its rate, m/s, stiffness, N/m (per_radius only for a belt that `structure` adds behind a drive).
-      Sensor: r: ideal reading, m or rad; across: position of the other linear coordinate, m.
+      Sensor: r: ideal reading, in its unit; q: position of the coordinate that it mainly measures, m or rad; across:
+      position of the other linear coordinate, m.
 
     Attributes:
         name: Unique name.

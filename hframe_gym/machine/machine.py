@@ -198,6 +198,10 @@ class Machine:
             return "set points"
         return f"{quantities.pop()}s" if len(quantities) == 1 else "commands"
 
+    def measures_position(self, channel: str) -> bool:
+        """Return whether the sensor of a channel measures a position, and not a speed or a current, for example."""
+        return self.sensor(channel).of_position
+
     @cached_property
     def position_sensors(self) -> NDArray[np.bool_]:
         """Whether each sensor measures positions, shape (sensors,)."""

@@ -234,8 +234,11 @@ def _without_measurement_effects(machine: Machine, initial: InitialState, positi
         measured, across = float(position[i]), position[names.index(other)] if other else 0.0
         inverse = measured
         for _ in range(_INVERSION_STEPS):
-            inverse -= float(e("measurement", r=inverse, across=across)) - measured
-        if abs(float(e("measurement", r=inverse, across=across)) - measured) < _INVERSION_TOLERANCE:
+            inverse -= float(e("measurement", r=inverse, q=inverse, across=across)) - measured
+        if (
+            abs(float(e("measurement", r=inverse, q=inverse, across=across)) - measured)
+            < _INVERSION_TOLERANCE
+        ):
             position[i] = inverse
     return position
 

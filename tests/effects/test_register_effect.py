@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from hframe_gym.dynamics import effect_forces, simulate
-from hframe_gym.dynamics.elementwise import maximum, sign, tanh
+from hframe_gym.dynamics.elementwise import maximum, sign, sin, tanh
 from hframe_gym.effects import EFFECTS, effect_sites, get_effect, register_effect, unregister_effect
-from hframe_gym.machine import BUILTIN_MACHINES, Effect, EffectParameter, Machine
+from hframe_gym.machine import BUILTIN_MACHINES, Effect, EffectParameter, Machine, Sensor
 
 EXPONENT = 3
 
@@ -35,6 +35,26 @@ TOY = Effect(
     source="this test",
     force=drag,
     parameters=(EffectParameter("c", "1", 0.0, 1e6, scale=1.0, role="amplitude"),),
+)
+
+
+def ripple(r, q, a, n):  # type: ignore[no-untyped-def]
+    """Return the measurement r (1 + a sin(n q)) of a tachometer; q: angle, rad."""
+    return r * (1.0 + a * sin(n * q))
+
+
+RIPPLE = Effect(
+    name="toy_ripple",
+    family="toy_ripple",
+    site="sensor",
+    formula="measurement = r (1 + a sin(n q))",
+    source="this test",
+    measurement=ripple,
+    fits_site=lambda machine, site: not machine.measures_position(site),
+    parameters=(
+        EffectParameter("a", "1", -1.0, 1.0, scale=0.01, role="amplitude"),
+        EffectParameter("n", "rad/position", 0.0, 1e3, scale=1.0),
+    ),
 )
 
 
@@ -63,6 +83,26 @@ def test_registered_effect_acts_in_the_kernel(toy: Effect, hframe: Machine) -> N
     assert (speed[-1] < 0.0) == (np.abs(force).max() == 0.0)
     difference = np.abs(motion.positions - plain.positions).max()
     assert (difference == 0.0) if speed[-1] < 0.0 else (difference > 1e-3)
+
+
+def test_an_effect_of_a_speed_sensor_depends_on_the_position_of_what_it_measures(hframe: Machine) -> None:
+    machine = hframe.with_components(Sensor("w1_rad_s", {"phi1": 1.0}, kind="speed"))
+    machine = machine.with_effects(RIPPLE.at("w1_rad_s", a=0.2, n=3.0))
+    motion = simulate(machine, np.arange(100) * 1e-3, np.full((100, 2), (6.0, -6.0)))
+    speed, angle = motion.velocities[:, 2], motion.positions[:, 2]
+    assert np.ptp(3.0 * angle) > 1.0
+    np.testing.assert_allclose(motion.outputs[:, -1], speed * (1.0 + 0.2 * np.sin(3.0 * angle)), atol=1e-9)
+
+
+def test_an_effect_says_itself_which_kinds_of_sensors_it_fits(hframe: Machine) -> None:
+    """Those of the library fit positions, one outside it may fit a speed; a current has no coordinate of its own."""
+    speed = Sensor("w1_rad_s", {"phi1": 1.0}, kind="speed")
+    machine = hframe.with_components(speed, Sensor("i1_A", {"motor1": 1.0}, kind="current"))
+    others = {"w1_rad_s", "i1_A"}
+    assert set(effect_sites(RIPPLE, machine)) == others
+    library = [effect for effect in EFFECTS.values() if effect.site == "sensor"]
+    assert library
+    assert not any(others & set(effect_sites(effect, machine)) for effect in library)
 
 
 def test_name_can_be_registered_once(toy: Effect) -> None:

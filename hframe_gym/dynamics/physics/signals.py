@@ -96,9 +96,13 @@ class SignalEquations(BeltEquations):
                 row = {of_kind.index(key): coefficient for key, coefficient in sensor.row.items()}
                 reading = combination(row, motion[quantity])
             reading = SENSOR_KINDS.get(sensor.kind).signal(reading)
-            # Skew depends on the position of the other carriage.
+            # Ripple depends on the position of what is measured, skew on that of the other carriage.
+            measured = self.machine.coordinate_of_sensor(sensor)
             across = self.machine.other_axis(sensor.coordinate)
-            quantities = {"across": positions[names.index(across)] if across else 0.0}
+            quantities = {
+                "q": positions[names.index(measured)],
+                "across": positions[names.index(across)] if across else 0.0,
+            }
             for _, e in self.effects_at("measurement", sensor.channel):
                 reading = self.evaluate(e, "measurement", {"r": reading, **quantities})
             readings.append(named("reading", j, reading))

@@ -112,8 +112,8 @@ class SearchState:
             velocity and missing force (the force that the model lacks): m, m/s, N or rad, rad/s, Nm.
         slow: Whether a narrow observer shows errors that change slowly.
         sensor_errors: By channel of the sensors of positions, an array of shape (n, 3) with the columns position,
-            velocity and error of the sensor (`residual.sensor_errors`); without a channel, periodic errors of that
-            sensor are no candidates.
+            velocity and error of the sensor (`missing_force.sensor_errors`). The strategy `library` proposes no
+            periodic errors of other sensors.
     """
 
     machine: Machine
