@@ -51,12 +51,10 @@ class CheckStage(Stage):
 
     @override
     def missing(self) -> tuple[str, str] | None:
-        """Ask for runs first."""
         return None if self.session.runs else ("logs", "There are no runs yet.")
 
     @override
     def state(self) -> State:
-        """Return whether the runs were checked, and whether there is a fault."""
         findings = self._findings()
         if findings is None:
             return ""
@@ -64,7 +62,6 @@ class CheckStage(Stage):
 
     @override
     def commands(self) -> list[list[str]]:
-        """Return the command that checks."""
         return [check_command()]
 
     def _findings(self) -> list[Finding] | None:

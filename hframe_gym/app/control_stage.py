@@ -48,7 +48,6 @@ class ControlStage(Stage):
 
     @override
     def missing(self) -> tuple[str, str] | None:
-        """Return what a comparison of controllers needs."""
         machine = self.session.machine
         if machine is None:
             return "machine", "There is no machine yet."
@@ -56,7 +55,6 @@ class ControlStage(Stage):
 
     @override
     def state(self) -> State:
-        """Return whether controllers were compared."""
         return "done" if self.session.path(self.session.control, "scores.json").exists() else ""
 
     @property
@@ -67,7 +65,6 @@ class ControlStage(Stage):
 
     @override
     def commands(self) -> list[list[str]]:
-        """Return the command that compares."""
         command = evaluate_command(
             self._controllers,
             self.session.corrected,

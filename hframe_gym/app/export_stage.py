@@ -36,12 +36,10 @@ class ExportStage(Stage):
 
     @override
     def missing(self) -> tuple[str, str] | None:
-        """Ask for a machine first."""
         return None if self.session.machine is not None else ("machine", "There is no machine yet.")
 
     @override
     def state(self) -> State:
-        """Return whether something was exported."""
         return "done" if self._files() else ""
 
     def _files(self) -> list[Path]:

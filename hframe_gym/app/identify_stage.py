@@ -44,25 +44,21 @@ class IdentifyStage(Stage):
 
     @override
     def missing(self) -> tuple[str, str] | None:
-        """Ask for runs first."""
         if len(self.session.runs) < 2:
             return "logs", "Identification needs at least two runs, because one is held out."
         return None
 
     @override
     def state(self) -> State:
-        """Return whether there is a result."""
         return "done" if self.session.path(RESULT, "report.json").exists() else ""
 
     @override
     def commands(self) -> list[list[str]]:
-        """Return the command that identifies."""
         aside = self.session.aside_command(RESULT, CONTROL, EXPORTS)
         return [*aside, identify_command(self._hold_out, self._budget, self._force)]
 
     @override
     def show(self) -> None:
-        """Build the stage."""
         if self.page.stages["check"].state() == "problem":
             banner("warning", "Faults in the runs.", _CHECKED_FIRST)
         with ui.element("div").classes("hf-fields"):
@@ -97,13 +93,11 @@ class IdentifyStage(Stage):
 
     @override
     def progressed(self, job: Job) -> None:
-        """Show output and progress."""
         super().progressed(job)
         self._show_live()
 
     @override
     def finished(self, job: Job) -> None:
-        """Show the results if there are any."""
         if self.state() == "done" and not job.stopped and job.exit_code == 0:
             ui.notify("Identified; see Results", type="positive")
 

@@ -70,19 +70,16 @@ class LogsStage(Stage):
 
     @override
     def missing(self) -> tuple[str, str] | None:
-        """Ask for a machine first."""
         if self.session.machine is None:
             return "machine", "Logs are read for a machine: its channels say what the columns can be."
         return None
 
     @override
     def state(self) -> State:
-        """Return whether there are runs."""
         return "done" if self.session.runs else ""
 
     @override
     def commands(self) -> list[list[str]]:
-        """Return the commands that import the logs."""
         aside = self.session.aside_command(RUNS, FINDINGS, RESULT, CONTROL, EXPORTS)
         chosen = dataclasses.replace(
             self._choices,

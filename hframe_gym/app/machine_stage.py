@@ -52,7 +52,6 @@ class MachineStage(Stage):
 
     @override
     def state(self) -> State:
-        """Return whether there is a machine."""
         try:
             return "done" if self.session.machine is not None else ""
         except InputError:
@@ -60,7 +59,6 @@ class MachineStage(Stage):
 
     @override
     def commands(self) -> list[list[str]]:
-        """Return the command that writes the machine."""
         return [*self.session.aside_command(*_OF_MACHINE), new_machine_command(self._like, self._values)]
 
     @override

@@ -34,7 +34,6 @@ class ResultsStage(Stage):
 
     @override
     def missing(self) -> tuple[str, str] | None:
-        """Ask for an identification first."""
         if self._report() is None:
             return "identify", "There is no result yet."
         return None
@@ -45,7 +44,6 @@ class ResultsStage(Stage):
 
     @override
     def commands(self) -> list[list[str]]:
-        """Return the command that builds the report."""
         return [["report", RESULT]]
 
     def _report(self) -> dict[str, Any] | None:

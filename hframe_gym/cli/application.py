@@ -93,7 +93,6 @@ class Application(typer.Typer):
     def command(
         self, name: str | None = None, *, cls: type[TyperCommand] | None = Command, **settings: Any
     ) -> Callable[[_Function], _Function]:
-        """Return a decorator that makes a function a command."""
         return super().command(name, cls=cls, **settings)
 
 

@@ -34,14 +34,12 @@ class JaxStage(Stage[Any]):
 
     @override
     def check_library(self) -> None:
-        """Check that JAX is set to compute in float64."""
         if not jax.config.jax_enable_x64:  # type: ignore[attr-defined]
             raise InputError('JAX computes in float32; call jax.config.update("jax_enable_x64", True) before')
 
     @staticmethod
     @override
     def from_numpy(values: Array) -> Any:
-        """Convert an array of NumPy to one of JAX."""
         return jnp.asarray(values)
 
     @override

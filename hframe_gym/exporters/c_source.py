@@ -46,7 +46,6 @@ class CExporter(MachineExporter):
 
     @override
     def files(self, machine: Machine) -> Files:
-        """Return header, source and test bench."""
         prefix = check_prefix(self.prefix)
         motion = motion_formulas(machine, self.period)
         comment = c_comment(self.header(machine, *motion.statements()))

@@ -49,7 +49,6 @@ class FmuExporter(MachineExporter):
 
     @override
     def files(self, machine: Machine) -> Files:
-        """Return the archive."""
         refuse_drive_laws(machine, "an FMU")
         unsupported = [
             effect.label

@@ -180,12 +180,10 @@ class C99(Language):
 
     @override
     def number(self, text: str) -> str:
-        """Return a number; Python's notation is that of C."""
         return text
 
     @override
     def operation(self, name: str, operands: Sequence[str]) -> str:
-        """Return an operation in C."""
         if name == "neg":
             return f"-{operands[0]}"
         if name == "fma":
@@ -202,7 +200,6 @@ class C99(Language):
 
     @override
     def assignment(self, target: str, value: str, *, kind: str) -> str:
-        """Return a declaration or an assignment in C."""
         declared = {"number": "const double ", "condition": "const int ", "output": ""}[kind]
         return f"{declared}{target} = {value};"
 
@@ -226,7 +223,6 @@ class StructuredText(Language):
 
     @override
     def operation(self, name: str, operands: Sequence[str]) -> str:
-        """Return an operation in Structured Text."""
         if name == "neg":
             return f"-{operands[0]}"
         if name == "fma":

@@ -41,7 +41,6 @@ class FrictionMapExporter(MachineExporter):
 
     @override
     def files(self, machine: Machine) -> Files:
-        """Return the table."""
         header = self.header(
             machine,
             "Force or torque against the motion at constant speed, in the unit of the column "

@@ -62,7 +62,6 @@ class GainsExporter(MachineExporter):
 
     @override
     def files(self, machine: Machine) -> Files:
-        """Return the files with the gains."""
         require_linear_axes(machine, "the table of gains")
         textbook, feedback = TextbookPID(machine, self.period), ModelBasedController(machine, self.period)
         concern = textbook.concern()

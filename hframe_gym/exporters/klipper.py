@@ -27,7 +27,6 @@ class KlipperExporter(InputShaperExporter):
 
     @override
     def files(self, machine: Machine) -> Files:
-        """Return the section for printer.cfg and the table of impulses."""
         found = self.axis_modes(machine)
         header = self.header(machine, *self.notes(machine), *(mode.described for mode in found))
         lines = ["[input_shaper]"]

@@ -23,7 +23,6 @@ class MarlinExporter(InputShaperExporter):
 
     @override
     def files(self, machine: Machine) -> Files:
-        """Return the G-code and the lines of the configuration."""
         found = self.axis_modes(machine)
         header = self.header(machine, *self.notes(machine), *(mode.described for mode in found))
         gcode = [f"M593 {mode.letter} F{mode.frequency:.2f} D{mode.damping:.4f}" for mode in found]

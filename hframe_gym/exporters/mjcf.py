@@ -37,7 +37,6 @@ class MjcfExporter(MachineExporter):
 
     @override
     def files(self, machine: Machine) -> Files:
-        """Return the model."""
         if not _STEP_LIMITS[0] <= self.step <= _STEP_LIMITS[1]:
             raise InputError(
                 f"--step {self.step:g}: must be from {_STEP_LIMITS[0]:g} s to {_STEP_LIMITS[1]:g} s"

@@ -45,7 +45,6 @@ class PolicyExporter(Exporter):
 
     @override
     def write(self, out: str | Path, log: Callable[[str], None] = lambda line: None) -> None:
-        """Write the files together."""
         out = Path(out)
         if out.exists() and not out.is_dir():
             raise InputError(f"--out {out}: is a file, but must be a folder")

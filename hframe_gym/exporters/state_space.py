@@ -33,7 +33,6 @@ class StateSpaceExporter(MachineExporter):
 
     @override
     def files(self, machine: Machine) -> Files:
-        """Return the files with the matrices and with the modes."""
         position = operating_point(machine, self.at)
         model = linear_model(machine, position)
         found = modes(model.A, machine.travel_per_unit, rest_positions_per_axis(machine))

@@ -38,7 +38,6 @@ class StructuredTextExporter(MachineExporter):
 
     @override
     def files(self, machine: Machine) -> Files:
-        """Return the source file."""
         prefix = check_prefix(self.prefix)
         motion = motion_formulas(machine, self.period)
         comment = (

@@ -29,7 +29,6 @@ class UrdfExporter(MachineExporter):
 
     @override
     def files(self, machine: Machine) -> Files:
-        """Return the URDF."""
         axes = tool_coordinates(machine)
         unlimited = [c.name for c in axes if c.range is None]
         if unlimited:

@@ -65,7 +65,6 @@ class _StepBack(StepTrace):
 
     @override
     def _voltages(self) -> list[Expression]:
-        """Return the commanded voltage of each drive in this step."""
         return [self.trace.load("inputs", j, f"u{j}") for j in range(len(self.source.machine.drives))]
 
     @override

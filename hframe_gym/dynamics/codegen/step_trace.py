@@ -97,17 +97,14 @@ class _PreparedEquations(Equations):
 
     @override
     def coulomb(self, i: int) -> Expression:
-        """Return the expression of the Coulomb friction force of coordinate i along its belt travel, N."""
         return self.derived("coordinate", i, "coulomb")
 
     @override
     def force_per_volt(self, j: int) -> Expression:
-        """Return the expression of the force of drive j per volt at standstill along the belt travel, N/V."""
         return self.derived("drive", j, "force_per_volt")
 
     @override
     def constant_stiffness(self, b: int) -> Expression:
-        """Return the expression of the stiffness EA / rest length of belt b, N/m."""
         return self.derived("belt", b, "stiffness")
 
 

@@ -34,12 +34,10 @@ class CodesysTraces(LogFormat):
 
     @override
     def recognizes(self, path: Path, start: bytes) -> bool:
-        """Recognize the first line."""
         return start.removeprefix(b"\xef\xbb\xbf").startswith(_START)
 
     @override
     def open(self, path: Path) -> list[Log]:
-        """Read all variables."""
         text = path.read_text(encoding="utf-8-sig", errors="replace")
         starts = [*_VARIABLE.finditer(text)]
         ends = [match.start() for match in starts[1:]] + [len(text)]

@@ -25,7 +25,6 @@ class KlipperAccelerometerLogs(LogFormat):
 
     @override
     def recognizes(self, path: Path, start: bytes) -> bool:
-        """Recognize the header."""
         return start.startswith((b"#", b"freq,")) and _header(start) != ""
 
     @override

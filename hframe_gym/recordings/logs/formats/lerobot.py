@@ -32,7 +32,6 @@ class LeRobotLogs(LogFormat):
 
     @override
     def recognizes(self, path: Path, start: bytes) -> bool:
-        """Recognize the columns of episodes."""
         if not start.startswith(b"PAR1"):
             return False
         try:
@@ -51,7 +50,6 @@ class LeRobotLogs(LogFormat):
 
     @override
     def open(self, path: Path) -> list[Log]:
-        """Find the rows of each episode."""
         table = ParquetTable(path, _item_names(path))
         headers = [column.header for column in table.columns]
         (episodes,) = table.read([headers.index(_EPISODE)])

@@ -42,7 +42,6 @@ class MatlabLogs(LogFormat):
 
     @override
     def open(self, path: Path) -> list[Log]:
-        """Read all arrays."""
         return [_open_mat(path)]
 
 

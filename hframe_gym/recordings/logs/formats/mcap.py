@@ -29,12 +29,10 @@ class McapLogs(LogFormat):
 
     @override
     def recognizes(self, path: Path, start: bytes) -> bool:
-        """Recognize the first bytes."""
         return start.startswith(b"\x89MCAP0\r\n")
 
     @override
     def open(self, path: Path) -> list[Log]:
-        """Find the topics with numbers."""
         advice = "export its signals as CSV, with PlotJuggler or Foxglove"
         require_extra(path, "MCAP files", "ros", ["mcap", "mcap_protobuf", "rosbags"], advice)
         file = _McapFile(path)

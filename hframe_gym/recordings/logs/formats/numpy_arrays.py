@@ -28,7 +28,6 @@ class NumpyLogs(LogFormat):
 
     @override
     def open(self, path: Path) -> list[Log]:
-        """Read all arrays of numbers."""
         found = [pair for name, values in read_arrays(path).items() for pair in vectors(name, values)]
         if not found:
             raise InputError(

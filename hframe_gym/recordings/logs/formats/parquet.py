@@ -27,12 +27,10 @@ class ParquetLogs(LogFormat):
 
     @override
     def recognizes(self, path: Path, start: bytes) -> bool:
-        """Recognize the beginning of Parquet files."""
         return start.startswith(b"PAR1")
 
     @override
     def open(self, path: Path) -> list[Log]:
-        """Read the schema."""
         table = ParquetTable(path)
 
         def read(indices: Sequence[int], progress: Progress | None) -> tuple[list[NDArray[Any]], list[str]]:

@@ -37,7 +37,6 @@ class RosBagLogs(LogFormat):
 
     @override
     def open(self, path: Path) -> list[Log]:
-        """Find the topics with numbers."""
         advice = "export its signals as CSV, for example with PlotJuggler"
         require_extra(path, "bags of ROS", "ros", ["rosbags"], advice)
         version = 1 if path.is_file() and path.suffix.lower() != ".db3" else 2

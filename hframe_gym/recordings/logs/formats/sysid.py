@@ -71,7 +71,6 @@ class SysIdLogs(LogFormat):
 
     @override
     def recognizes(self, path: Path, start: bytes) -> bool:
-        """Recognize JSON of any kind."""
         return is_json(path, start)
 
     @override
@@ -84,7 +83,6 @@ class SysIdLogs(LogFormat):
 
     @override
     def open(self, path: Path) -> list[Log]:
-        """Read all tests."""
         return [_test_log(path, test) for test in _read_tests(path)]
 
 

@@ -83,7 +83,6 @@ class WpiLogs(LogFormat):
 
     @override
     def recognizes(self, path: Path, start: bytes) -> bool:
-        """Recognize the first six bytes."""
         return start.startswith(b"WPILOG")
 
     @override
