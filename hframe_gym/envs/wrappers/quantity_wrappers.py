@@ -6,7 +6,8 @@ Each works on a single environment (`HFrameEnv`, also from `gym.make`) and, with
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -54,52 +55,155 @@ class _Recorder:
         return self.values(np.zeros(self._last.shape))
 
 
-def _weights(values: Mapping[str, float], meaning: str) -> dict[str, float]:
+def _finite(numbers: Mapping[str, float], meaning: str) -> dict[str, float]:
     """Check numbers by name of a quantity."""
-    for name, value in values.items():
+    for name, value in numbers.items():
         if not is_number(value):
             raise InputError(f"the {meaning} of {name!r} is {value!r}, it must be a finite number")
-    return dict(values)
+    return dict(numbers)
 
 
-def _penalty(info: dict[str, Any], values: Mapping[str, Any], weights: Mapping[str, float]) -> Any:
-    """Return the weighted sum of the quantities, and put these into `info`."""
-    info.update({f"quantity_{name}": value for name, value in values.items()})
-    return sum(weights[name] * value for name, value in values.items())
+class _Use(ABC):
+    """What a wrapper does with the quantities of a step: a number each, or an array of shape (count,) each."""
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self.names = names
+
+    @abstractmethod
+    def changed(self, result: tuple[Any, ...], values: Mapping[str, Any]) -> tuple[Any, ...]:
+        """Return the result of a step with what follows from its quantities."""
+
+    def begun(self, observation: Any, first_values: Callable[[], Mapping[str, Any]]) -> Any:
+        """Return the first observation of an episode."""
+        return observation
 
 
-def _with_cost(
-    result: tuple[Any, ...], values: Mapping[str, Any], limits: Mapping[str, float], six_values: bool
-) -> tuple[Any, ...]:
-    """Return the result of a step with its cost: how many quantities exceed their limits."""
-    observation, reward, terminated, truncated, info = result
-    exceeded = {name: 1.0 * (value > limits[name]) for name, value in values.items()}
-    cost = sum(exceeded.values())
-    info.update({f"quantity_{name}": value for name, value in values.items()})
-    info.update({f"cost_{name}": value for name, value in exceeded.items()}, cost=cost)
-    if six_values:
-        return observation, reward, cost, terminated, truncated, info
-    return result
+class _Penalty(_Use):
+    """Weighted quantities are subtracted from the reward."""
+
+    def __init__(self, weights: Mapping[str, float]) -> None:
+        super().__init__(list(weights))
+        self._weights = _finite(weights, "weight")
+
+    @override
+    def changed(self, result: tuple[Any, ...], values: Mapping[str, Any]) -> tuple[Any, ...]:
+        observation, reward, terminated, truncated, info = result
+        info.update({f"quantity_{name}": value for name, value in values.items()})
+        penalty = sum(self._weights[name] * value for name, value in values.items())
+        return observation, reward - penalty, terminated, truncated, info
+
+
+class _Cost(_Use):
+    """The number of quantities that exceed their limits is reported."""
+
+    def __init__(self, limits: Mapping[str, float], *, six_values: bool) -> None:
+        super().__init__(list(limits))
+        self._limits, self._six_values = _finite(limits, "limit"), six_values
+
+    @override
+    def changed(self, result: tuple[Any, ...], values: Mapping[str, Any]) -> tuple[Any, ...]:
+        observation, reward, terminated, truncated, info = result
+        exceeded = {name: 1.0 * (value > self._limits[name]) for name, value in values.items()}
+        cost = sum(exceeded.values())
+        info.update({f"quantity_{name}": value for name, value in values.items()})
+        info.update({f"cost_{name}": value for name, value in exceeded.items()}, cost=cost)
+        if self._six_values:
+            return observation, reward, cost, terminated, truncated, info
+        return result
+
+
+class _Observed(_Use):
+    """The quantities are entries of the observation."""
+
+    def __init__(self, names: Sequence[str]) -> None:
+        super().__init__(names)
+        self._scales = np.array([QUANTITIES.get(name).largest for name in names])
+
+    def space(self, inner: spaces.Space[Any]) -> spaces.Space[Any]:
+        """Return the observation space of one environment with the quantities."""
+        added = spaces.Box(-_LIMIT, _LIMIT, self._scales.shape, np.float32)
+        if isinstance(inner, spaces.Dict):
+            return spaces.Dict({**inner.spaces, KEY: added})
+        assert isinstance(inner, spaces.Box)
+        low, high = np.concatenate([inner.low, added.low]), np.concatenate([inner.high, added.high])
+        return spaces.Box(low, high, dtype=np.float32)
+
+    @override
+    def changed(self, result: tuple[Any, ...], values: Mapping[str, Any]) -> tuple[Any, ...]:
+        observation, *others = result
+        return self._extended(observation, values), *others
+
+    @override
+    def begun(self, observation: Any, first_values: Callable[[], Mapping[str, Any]]) -> Any:
+        return self._extended(observation, first_values())
+
+    def _extended(self, observation: Any, values: Mapping[str, Any]) -> Any:
+        """Return an observation with the quantities."""
+        scaled = np.stack(list(values.values()), axis=-1) / self._scales
+        added = np.clip(scaled, -_LIMIT, _LIMIT).astype(np.float32)
+        if isinstance(observation, dict):
+            return {**observation, KEY: added}
+        return np.concatenate([observation, added], axis=-1)
 
 
 class _Recording(gym.Wrapper):
     """Base of the wrappers of single environments."""
 
-    def __init__(self, env: gym.Env, names: Sequence[str]) -> None:
+    def __init__(self, env: gym.Env, use: _Use) -> None:
         super().__init__(env)
-        self._recorder = _Recorder(env, names)
+        self._recorder, self._use = _Recorder(env, use.names), use
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         """Begin an episode, as the environment does."""
         self._recorder.begin()
-        return self.env.reset(seed=seed, options=options)
+        observation, info = self.env.reset(seed=seed, options=options)
+        return self._use.begun(observation, lambda: _items(self._recorder.first_values())), info
 
-    def _step(self, action: Any) -> tuple[Any, dict[str, float]]:
-        """Make a step; return its result and the quantities."""
+    def step(self, action: Any) -> tuple[Any, ...]:  # type: ignore[override]
+        """Make a step, as the environment does, with what follows from its quantities."""
         result = self.env.step(action)
-        return result, {name: column.item() for name, column in self._recorder.values(action).items()}
+        return self._use.changed(result, _items(self._recorder.values(action)))
+
+
+def _items(columns: Mapping[str, Array]) -> dict[str, float]:
+    """Return the numbers of a single environment."""
+    return {name: column.item() for name, column in columns.items()}
+
+
+class _VectorRecording(VectorWrapper):
+    """Base of the wrappers of vector environments, which know in which environments an episode has ended."""
+
+    def __init__(self, env: VectorEnv, use: _Use) -> None:
+        super().__init__(env)
+        self._recorder, self._use = _Recorder(env, use.names), use
+        if env.metadata.get("autoreset_mode") is AutoresetMode.SAME_STEP:
+            raise InputError(
+                "with autoreset_mode='SameStep' the state at the end of an episode is gone when quantities are "
+                "computed; use 'NextStep' or 'Disabled'"
+            )
+        self._over = np.zeros(self._recorder.batch.count, np.bool_)
+
+    def reset(self, **keywords: Any) -> tuple[Any, dict[str, Any]]:
+        """Begin episodes, as the environments do."""
+        mask = (keywords.get("options") or {}).get("reset_mask")
+        chosen = slice(None) if mask is None else np.asarray(mask, np.bool_)
+        self._recorder.begin(chosen)
+        self._over[chosen] = False
+        observation, info = self.env.reset(**keywords)
+        return self._use.begun(observation, self._recorder.first_values), info
+
+    def step(self, actions: Any) -> tuple[Any, ...]:  # type: ignore[override]
+        """Make a step of all environments; quantities are zero where an episode began instead."""
+        began = self._over
+        result = self.env.step(actions)
+        values = self._recorder.values(actions)
+        self._recorder.begin(began)
+        self._over = np.asarray(result[2]) | np.asarray(result[3])
+        return self._use.changed(
+            result, {name: np.where(began, 0.0, column) for name, column in values.items()}
+        )
 
 
 class PenaltyWrapper(_Recording):
@@ -116,14 +220,18 @@ class PenaltyWrapper(_Recording):
     """
 
     def __init__(self, env: gym.Env, weights: Mapping[str, float]) -> None:
-        super().__init__(env, list(weights))
-        self.weights = _weights(weights, "weight")
+        super().__init__(env, _Penalty(weights))
 
-    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Make a step, as the environment does, with the reward reduced."""
-        (observation, reward, terminated, truncated, info), values = self._step(action)
-        reward = float(reward) - _penalty(info, values, self.weights)
-        return observation, reward, terminated, truncated, info
+
+class VectorPenaltyWrapper(_VectorRecording):
+    """`PenaltyWrapper` for `HFrameVectorEnv`; where an episode begins in a step, nothing is subtracted.
+
+    Raises:
+        InputError: As `PenaltyWrapper`, and with the autoreset mode "SameStep".
+    """
+
+    def __init__(self, env: VectorEnv, weights: Mapping[str, float]) -> None:
+        super().__init__(env, _Penalty(weights))
 
 
 class CostWrapper(_Recording):
@@ -146,113 +254,7 @@ class CostWrapper(_Recording):
     """
 
     def __init__(self, env: gym.Env, limits: Mapping[str, float], *, six_values: bool = False) -> None:
-        super().__init__(env, list(limits))
-        self.limits, self.six_values = _weights(limits, "limit"), six_values
-
-    def step(self, action: Any) -> tuple[Any, ...]:  # type: ignore[override]
-        """Make a step, as the environment does, and report its cost."""
-        return _with_cost(*self._step(action), self.limits, self.six_values)
-
-
-class _Observed:
-    """Quantities as entries of an observation."""
-
-    def __init__(self, quantities: Iterable[Quantity]) -> None:
-        self._scales = np.array([quantity.largest for quantity in quantities])
-
-    def space(self, inner: spaces.Space[Any]) -> spaces.Space[Any]:
-        """Return the observation space of one environment with the quantities."""
-        added = spaces.Box(-_LIMIT, _LIMIT, self._scales.shape, np.float32)
-        if isinstance(inner, spaces.Dict):
-            return spaces.Dict({**inner.spaces, KEY: added})
-        assert isinstance(inner, spaces.Box)
-        low, high = np.concatenate([inner.low, added.low]), np.concatenate([inner.high, added.high])
-        return spaces.Box(low, high, dtype=np.float32)
-
-    def extended(self, observation: Any, values: Mapping[str, Any]) -> Any:
-        """Return an observation with the quantities: a number each, or an array of shape (count,) each."""
-        scaled = np.stack(list(values.values()), axis=-1) / self._scales
-        added = np.clip(scaled, -_LIMIT, _LIMIT).astype(np.float32)
-        if isinstance(observation, dict):
-            return {**observation, KEY: added}
-        return np.concatenate([observation, added], axis=-1)
-
-
-class ObserveQuantities(_Recording):
-    """Add quantities of the last step to the observation: the key `quantities`, or further entries of a flat array.
-
-    Each is divided by its typical largest value and limited to [-10, 10]. At the beginning of an episode they are those
-    of the start with actions of zero.
-
-    Raises:
-        InputError: If a name is unknown or the environment is of another package.
-    """
-
-    def __init__(self, env: gym.Env, names: Sequence[str]) -> None:
-        super().__init__(env, names)
-        self._observed = _Observed(self._recorder.quantities.values())
-        self.observation_space = self._observed.space(env.observation_space)
-
-    @override
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Any, dict[str, Any]]:
-        observation, info = super().reset(seed=seed, options=options)
-        values = {name: column.item() for name, column in self._recorder.first_values().items()}
-        return self._observed.extended(observation, values), info
-
-    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Make a step, as the environment does."""
-        (observation, reward, terminated, truncated, info), values = self._step(action)
-        return self._observed.extended(observation, values), reward, terminated, truncated, info
-
-
-class _VectorRecording(VectorWrapper):
-    """Base of the wrappers of vector environments, which know in which environments an episode has ended."""
-
-    def __init__(self, env: VectorEnv, names: Sequence[str]) -> None:
-        super().__init__(env)
-        self._recorder = _Recorder(env, names)
-        if env.metadata.get("autoreset_mode") is AutoresetMode.SAME_STEP:
-            raise InputError(
-                "with autoreset_mode='SameStep' the state at the end of an episode is gone when quantities are "
-                "computed; use 'NextStep' or 'Disabled'"
-            )
-        self._over = np.zeros(self._recorder.batch.count, np.bool_)
-
-    def reset(self, **keywords: Any) -> tuple[Any, dict[str, Any]]:
-        """Begin episodes, as the environments do."""
-        mask = (keywords.get("options") or {}).get("reset_mask")
-        chosen = slice(None) if mask is None else np.asarray(mask, np.bool_)
-        self._recorder.begin(chosen)
-        self._over[chosen] = False
-        return self.env.reset(**keywords)
-
-    def _step(self, actions: Any) -> tuple[Any, dict[str, Array]]:
-        """Make a step; return its result, and the quantities, which are zero where an episode began instead."""
-        began = self._over
-        result = self.env.step(actions)
-        values = self._recorder.values(actions)
-        self._recorder.begin(began)
-        self._over = np.asarray(result[2]) | np.asarray(result[3])
-        return result, {name: np.where(began, 0.0, column) for name, column in values.items()}
-
-
-class VectorPenaltyWrapper(_VectorRecording):
-    """`PenaltyWrapper` for `HFrameVectorEnv`; where an episode begins in a step, nothing is subtracted.
-
-    Raises:
-        InputError: As `PenaltyWrapper`, and with the autoreset mode "SameStep".
-    """
-
-    def __init__(self, env: VectorEnv, weights: Mapping[str, float]) -> None:
-        super().__init__(env, list(weights))
-        self.weights = _weights(weights, "weight")
-
-    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Make a step of all environments, with the rewards reduced."""
-        (observation, reward, terminated, truncated, info), values = self._step(actions)
-        return observation, reward - _penalty(info, values, self.weights), terminated, truncated, info
+        super().__init__(env, _Cost(limits, six_values=six_values))
 
 
 class VectorCostWrapper(_VectorRecording):
@@ -266,29 +268,30 @@ class VectorCostWrapper(_VectorRecording):
     """
 
     def __init__(self, env: VectorEnv, limits: Mapping[str, float], *, six_values: bool = False) -> None:
-        super().__init__(env, list(limits))
-        self.limits, self.six_values = _weights(limits, "limit"), six_values
+        super().__init__(env, _Cost(limits, six_values=six_values))
 
-    def step(self, actions: Any) -> tuple[Any, ...]:  # type: ignore[override]
-        """Make a step of all environments, and report their costs."""
-        return _with_cost(*self._step(actions), self.limits, self.six_values)
+
+class ObserveQuantities(_Recording):
+    """Add quantities of the last step to the observation: the key `quantities`, or further entries of a flat array.
+
+    Each is divided by its typical largest value and limited to [-10, 10]. At the beginning of an episode they are those
+    of the start with actions of zero.
+
+    Raises:
+        InputError: If a name is unknown or the environment is of another package.
+    """
+
+    def __init__(self, env: gym.Env, names: Sequence[str]) -> None:
+        observed = _Observed(names)
+        super().__init__(env, observed)
+        self.observation_space = observed.space(env.observation_space)
 
 
 class VectorObserveQuantities(_VectorRecording):
     """`ObserveQuantities` for `HFrameVectorEnv`."""
 
     def __init__(self, env: VectorEnv, names: Sequence[str]) -> None:
-        super().__init__(env, names)
-        self._observed = _Observed(self._recorder.quantities.values())
-        self.single_observation_space = self._observed.space(env.single_observation_space)
+        observed = _Observed(names)
+        super().__init__(env, observed)
+        self.single_observation_space = observed.space(env.single_observation_space)
         self.observation_space = batch_space(self.single_observation_space, env.num_envs)
-
-    @override
-    def reset(self, **keywords: Any) -> tuple[Any, dict[str, Any]]:
-        observation, info = super().reset(**keywords)
-        return self._observed.extended(observation, self._recorder.first_values()), info
-
-    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Make a step of all environments."""
-        (observation, reward, terminated, truncated, info), values = self._step(actions)
-        return self._observed.extended(observation, values), reward, terminated, truncated, info
