@@ -34,7 +34,6 @@ def cubic_spring(q, k):  # type: ignore[no-untyped-def]
 
 TOY_EFFECT = Effect(
     name="toy_cubic_spring",
-    family="toy_cubic_spring",
     site="coordinate",
     formula="f = -k q^3",
     source="this test",

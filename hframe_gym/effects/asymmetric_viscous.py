@@ -13,7 +13,6 @@ def viscous(b, direction, a):  # type: ignore[no-untyped-def]
 
 EFFECT = Effect(
     name="asymmetric_viscous",
-    family="asymmetric_viscous",
     site="coordinate",
     formula="b(v) = b (1 + a sign v)",
     source="seals and wipers with a lip; Bona and Indri 2005",

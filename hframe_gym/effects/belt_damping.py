@@ -10,7 +10,6 @@ def tension(s, rate, k, c):  # type: ignore[no-untyped-def]
 
 EFFECT = Effect(
     name="belt_damping",
-    family="belt_damping",
     site="belts",
     formula="T = k s + c k ds/dt",
     source="Kelvin-Voigt model",

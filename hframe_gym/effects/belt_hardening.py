@@ -15,7 +15,6 @@ def energy_slope(s, h):  # type: ignore[no-untyped-def]
 
 EFFECT = Effect(
     name="belt_hardening",
-    family="belt_hardening",
     site="belts",
     formula="T = k s (1 + h s^2)",
     source="Duffing oscillator",

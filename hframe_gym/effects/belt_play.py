@@ -22,7 +22,6 @@ def energy_slope(s, d):  # type: ignore[no-untyped-def]
 
 EFFECT = Effect(
     name="belt_play",
-    family="belt_play",
     site="belts",
     formula="T = k (s - clip(s, -d, d))",
     source="backlash of timing belts in the grooves of their pulleys",

@@ -17,7 +17,6 @@ def energy_slope(s, k, T0):  # type: ignore[no-untyped-def]
 
 EFFECT = Effect(
     name="belt_slack",
-    family="belt_slack",
     site="belts",
     formula="T = max(k s, -T0)",
     source="a belt cannot transmit compression",

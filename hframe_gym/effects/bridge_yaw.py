@@ -65,7 +65,6 @@ def structure(machine: Machine, effect: AppliedEffect) -> Machine:
 
 EFFECT = Effect(
     name="bridge_yaw",
-    family="bridge_yaw",
     site="machine",
     formula="J yaw'' + c yaw' + k yaw = w (T_r - T_l); tool at x + y yaw",
     source="racking of gantries; Sollmann et al. 2010, section V",

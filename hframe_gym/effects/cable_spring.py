@@ -10,7 +10,6 @@ def force(q, k, q0):  # type: ignore[no-untyped-def]
 
 EFFECT = Effect(
     name="cable_spring",
-    family="cable_spring",
     site="coordinate",
     formula="f = -k (q - q0)",
     source="Hooke",

@@ -19,7 +19,6 @@ def clock(z, a):  # type: ignore[no-untyped-def]
 
 EFFECT = Effect(
     name="clock_drift",
-    family="clock_drift",
     site="machine",
     formula="dt = (1 + a t) dt of the log",
     source="oscillator whose frequency drifts linearly, Allan 1987, IEEE Trans. UFFC 34(6)",

@@ -11,7 +11,6 @@ def force(q, A, n, p):  # type: ignore[no-untyped-def]
 
 EFFECT = Effect(
     name="cogging",
-    family="cogging",
     site="motor",
     formula="f = A sin(n q + p)",
     source="Hanselman, Brushless Permanent Magnet Motor Design, chapter 7",

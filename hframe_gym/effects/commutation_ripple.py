@@ -17,7 +17,6 @@ def torque(i, q, a, n, p):  # type: ignore[no-untyped-def]
 
 EFFECT = Effect(
     name="commutation_ripple",
-    family="commutation_ripple",
     site="motor",
     formula="torque = N Kt i (1 + a sin(n q + p))",
     source="Hanselman, Brushless Permanent Magnet Motor Design, chapter 8",

@@ -14,7 +14,6 @@ def force(size):  # type: ignore[no-untyped-def]
 
 EFFECT = Effect(
     name="constant_force",
-    family="constant_force",
     site="coordinate",
     formula="f = size",
     source="weight on a slope; Coulomb friction that differs by direction",

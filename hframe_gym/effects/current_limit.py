@@ -11,7 +11,6 @@ def current(i, I):  # type: ignore[no-untyped-def]  # noqa: E741
 
 EFFECT = Effect(
     name="current_limit",
-    family="current_limit",
     site="drive",
     shared=True,
     formula="|i| <= I",

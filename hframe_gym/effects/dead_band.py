@@ -19,7 +19,6 @@ def voltage(V, Vd, drop):  # type: ignore[no-untyped-def]
 
 EFFECT = Effect(
     name="dead_band",
-    family="dead_band",
     site="drive",
     shared=True,
     formula="V' = 0 for |V| < Vd, else V - drop * Vd * sign(V)",

@@ -19,7 +19,6 @@ def fits_site(machine: Machine, site: str) -> bool:
 
 EFFECT = Effect(
     name="eccentric_encoder",
-    family="eccentric_encoder",
     site="sensor",
     formula="measurement = r + A sin(r + p)",
     source="kinematics of an eccentric disk, first order in eccentricity / radius",

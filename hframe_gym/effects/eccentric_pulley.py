@@ -44,7 +44,6 @@ def fits(machine: Machine) -> bool:
 
 EFFECT = Effect(
     name="eccentric_pulley",
-    family="eccentric_pulley",
     site="motor",
     formula="travel r phi + e sin(phi + p), arm r + e cos(phi + p)",
     source="kinematics of an eccentric circle, first order in e/r",

@@ -14,7 +14,6 @@ def force(v, c, v0):  # type: ignore[no-untyped-def]
 
 EFFECT = Effect(
     name="eddy_brake",
-    family="eddy_brake",
     site="coordinate",
     formula="f = -c v / (1 + (v/v0)^2)",
     source="Wouterse 1991, IEE Proceedings B 138(4): torque 2 T / (v/v0 + v0/v) of eddy-current brakes",

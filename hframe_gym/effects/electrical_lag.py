@@ -21,7 +21,6 @@ def current(z):  # type: ignore[no-untyped-def]
 
 EFFECT = Effect(
     name="electrical_lag",
-    family="electrical_lag",
     site="drive",
     shared=True,
     formula="tau di/dt = (V - Ke N w)/R - i",

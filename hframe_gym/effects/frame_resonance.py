@@ -55,7 +55,6 @@ def structure(machine: Machine, effect: AppliedEffect) -> Machine:
 
 EFFECT = Effect(
     name="frame_resonance",
-    family="frame_resonance",
     site="coordinate",
     formula="f'' + 2 zeta w f' + w^2 f = -r (x'' + s F/m), w = 2 pi f0; measurement = x + f",
     source="linear oscillator with base excitation; Rankers 1997, Machine dynamics in mechatronic systems",

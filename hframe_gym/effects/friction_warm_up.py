@@ -16,7 +16,6 @@ def coulomb(level, t, a, tau):  # type: ignore[no-untyped-def]
 
 EFFECT = Effect(
     name="friction_warm_up",
-    family="friction_warm_up",
     site="machine",
     formula="F(t) = Fc (1 + a exp(-t/tau))",
     source="Bittencourt, Wernholt, Sander-Tavallaey and Brogardh 2010, friction of robot joints against temperature",

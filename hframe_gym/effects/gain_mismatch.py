@@ -15,7 +15,6 @@ def voltage(V, g):  # type: ignore[no-untyped-def]
 
 EFFECT = Effect(
     name="gain_mismatch",
-    family="gain_mismatch",
     site="drive",
     formula="V' = (1 + g) V",
     source="tolerance of amplifiers and motor constants",

@@ -82,7 +82,6 @@ def structure(machine: Machine, effect: AppliedEffect) -> Machine:
 
 EFFECT = Effect(
     name="gear_backlash",
-    family="gear_backlash",
     site="motor",
     belt="{site}_teeth",
     half_gap="d",

@@ -125,7 +125,6 @@ def _without(c: Coordinate, mass: float, friction: float) -> Coordinate:
 
 EFFECT = Effect(
     name="idler_inertia",
-    family="idler_inertia",
     site="machine",
     formula="J phi_i'' + B phi_i' = r (T_before - T_after), i = 3..8",
     source="Sollmann et al., eq. 25-34 with errata",

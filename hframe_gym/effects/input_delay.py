@@ -10,7 +10,6 @@ def delay(d):  # type: ignore[no-untyped-def]
 
 EFFECT = Effect(
     name="input_delay",
-    family="input_delay",
     site="drives",
     formula="V'(t) = V(t - d)",
     source="dead time of sampled control",

@@ -18,7 +18,6 @@ def measurement(r, A, n, p):  # type: ignore[no-untyped-def]
 
 EFFECT = Effect(
     name="interpolation_error",
-    family="interpolation_error",
     site="sensor",
     formula="measurement = r + A sin(n r + p)",
     source="Heydemann 1981, Applied Optics 20(19), subdivision error of interferometers; its first harmonic",

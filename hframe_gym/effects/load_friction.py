@@ -11,7 +11,6 @@ def coulomb(drive, mu):  # type: ignore[no-untyped-def]
 
 EFFECT = Effect(
     name="load_friction",
-    family="load_friction",
     site="motor",
     formula="F = Fc + mu |torque of the drive|",
     source="Duclusaud et al. 2025, Extended friction models for the physics simulation of servo actuators",

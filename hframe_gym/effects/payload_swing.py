@@ -63,7 +63,6 @@ def rigid(machine: Machine, effect: AppliedEffect) -> Machine:
 
 EFFECT = Effect(
     name="payload_swing",
-    family="payload_swing",
     site="coordinate",
     formula="d'' + 2 zeta w d' + w^2 d = -x'', w = 2 pi f0; f = r m (w^2 d + 2 zeta w d')",
     source="vibration absorber; Den Hartog 1956, Mechanical Vibrations, 4th edition, section 3.2",

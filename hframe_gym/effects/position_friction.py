@@ -16,7 +16,6 @@ def coulomb(q, A, L, p):  # type: ignore[no-untyped-def]
 
 EFFECT = Effect(
     name="position_friction",
-    family="position_friction",
     site="coordinate",
     formula="F(q) = Fc + A sin(2 pi q/L + p)",
     source="Armstrong-Helouvry et al. 1994, section 2.1.4",

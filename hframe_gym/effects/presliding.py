@@ -33,7 +33,6 @@ def initial_spread(level, s0):  # type: ignore[no-untyped-def]
 
 EFFECT = Effect(
     name="presliding",
-    family="presliding",
     site="coordinate",
     formula="dz/dt = v - s0 |v| z/F, friction s0 z + s1 dz/dt",
     source="Dahl 1968; Canudas de Wit et al. 1995",

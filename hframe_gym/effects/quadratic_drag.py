@@ -11,7 +11,6 @@ def force(v, c):  # type: ignore[no-untyped-def]
 
 EFFECT = Effect(
     name="quadratic_drag",
-    family="quadratic_drag",
     site="coordinate",
     formula="f = -c v |v|",
     source="drag at high Reynolds number",

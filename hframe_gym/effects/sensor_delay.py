@@ -10,7 +10,6 @@ def measurement_delay(d):  # type: ignore[no-untyped-def]
 
 EFFECT = Effect(
     name="sensor_delay",
-    family="sensor_delay",
     site="sensor",
     formula="measurement(t) = r(t - d)",
     source="averaging and transmission in the sensor",

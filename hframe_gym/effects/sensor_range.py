@@ -52,7 +52,6 @@ def starting_values(measured: Array, noise: float) -> list[dict[str, float]]:
 
 EFFECT = Effect(
     name="sensor_range",
-    family="sensor_range",
     site="sensor",
     formula="measurement = clip(r, low, high)",
     source="Sollmann et al., section V",

@@ -22,7 +22,6 @@ def fits(machine: Machine) -> bool:
 
 EFFECT = Effect(
     name="sensor_scale",
-    family="sensor_scale",
     site="sensor",
     formula="measurement = (1 + g) r",
     source="sensor calibration error",

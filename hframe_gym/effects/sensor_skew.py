@@ -18,7 +18,6 @@ def fits_site(machine: Machine, site: str) -> bool:
 
 EFFECT = Effect(
     name="sensor_skew",
-    family="sensor_skew",
     site="sensor",
     formula="measurement = r + a across",
     source="target of a laser, or an axis, that is not square",

@@ -15,7 +15,6 @@ def coulomb(v, dF, vs):  # type: ignore[no-untyped-def]
 
 EFFECT = Effect(
     name="stribeck_friction",
-    family="stribeck_friction",
     site="coordinate",
     formula="F(v) = Fc + dF exp(-(v/vs)^2)",
     source="Armstrong-Helouvry, Dupont and Canudas de Wit 1994, Automatica 30(7), eq. 8 with exponent 2",

@@ -28,7 +28,6 @@ def next_state(z, dt, power, stall_power, g, tau):  # type: ignore[no-untyped-de
 
 EFFECT = Effect(
     name="supply_sag",
-    family="supply_sag",
     site="drives",
     formula="V' = V (1 - s), tau ds/dt = g sum V i - s",
     source="source with inner resistance and a capacitor behind it",

@@ -13,7 +13,6 @@ def torque(i, s):  # type: ignore[no-untyped-def]
 
 EFFECT = Effect(
     name="torque_saturation",
-    family="torque_saturation",
     site="drive",
     shared=True,
     formula="torque = N Kt i / (1 + s i^2)",

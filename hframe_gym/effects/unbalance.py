@@ -16,7 +16,6 @@ def force(q, A, p):  # type: ignore[no-untyped-def]
 
 EFFECT = Effect(
     name="unbalance",
-    family="unbalance",
     site="coordinate",
     formula="f = A sin(q + p)",
     source="moment of the weight, A = m g r",

@@ -11,7 +11,6 @@ def voltage(V, U):  # type: ignore[no-untyped-def]
 
 EFFECT = Effect(
     name="voltage_limit",
-    family="voltage_limit",
     site="drive",
     shared=True,
     formula="|V'| <= U",

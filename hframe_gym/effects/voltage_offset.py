@@ -13,7 +13,6 @@ def voltage(V, V0):  # type: ignore[no-untyped-def]
 
 EFFECT = Effect(
     name="voltage_offset",
-    family="voltage_offset",
     site="drive",
     formula="V' = V + V0",
     source="offset of an analog amplifier or D/A converter",

@@ -34,7 +34,6 @@ def initial_spread(i):  # type: ignore[no-untyped-def]
 
 EFFECT = Effect(
     name="winding_heat",
-    family="winding_heat",
     site="drive",
     shared=True,
     formula="i = (V - Ke N w)/(R (1 + a h)), tau dh/dt = i^2 - h",

@@ -172,7 +172,8 @@ class Effect:
 
     Attributes:
         name: Unique name.
-        family: Name of the group of effects with the same physical cause that reports treat as one effect.
+        family: Name of the group of effects with the same physical cause that reports treat as one effect. Default: the
+            name of the effect.
         site: Kind of site at which the effect can act. "motor": the coordinate of a drive. "drive", "drives":
             amplifier and winding of one drive, or of all at once ("drives" where this is the usual case). "belts": all
             belts or one. "machine": all coordinates, or the structure that `structure` changes. On several components,
@@ -213,11 +214,11 @@ class Effect:
     """
 
     name: str
-    family: str
     site: SiteKind
     parameters: tuple[EffectParameter, ...]
     formula: str
     source: str
+    family: str = ""
     force: Hook | None = None
     reaction: Hook | None = None
     active_region: Hook | None = None
@@ -257,7 +258,9 @@ class Effect:
     signal_order: int = 0
 
     def __post_init__(self) -> None:
-        """Check the names of the hooks' arguments."""
+        """Complete the family, and check the names of the hooks' arguments."""
+        if not self.family:
+            object.__setattr__(self, "family", self.name)
         parameters = [p.name for p in self.parameters]
         for hook, quantities in HOOKS.items():
             function = getattr(self, hook)

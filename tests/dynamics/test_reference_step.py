@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from hframe_gym.dynamics import LANES, Equations, in_blocks, kernel_for
-from hframe_gym.dynamics.physics.reference_step import StepState, reference_step
+from hframe_gym.dynamics.physics.parameterized_machine import MotionPoint
+from hframe_gym.dynamics.physics.reference_step import reference_step
 from hframe_gym.dynamics.simulation import parameter_batch
 from hframe_gym.machine import BUILTIN_MACHINES, Machine, rest_state
 from tests.effects.one_of_each import CASES, START, Case
@@ -31,7 +32,7 @@ def largest_difference(machine: Machine) -> float:
         if step % HOLD == 0:
             voltages = rng.uniform(-9.0, 9.0, len(machine.drives))
         effect_states = dict(zip(equations.states, state[2 * count + 1 :], strict=True))
-        start = StepState(state[:count], state[count : 2 * count], state[2 * count], effect_states)
+        start = MotionPoint(state[:count], state[count : 2 * count], state[2 * count], effect_states)
         end = reference_step(equations, start, voltages, STEP)
         before.append([*end.travel, *end.speed, end.time, *end.effect_states.values()])
         block = in_blocks(state[None])

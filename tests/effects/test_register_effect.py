@@ -29,7 +29,6 @@ def drag(v, c):  # type: ignore[no-untyped-def]
 
 TOY = Effect(
     name="toy_drag",
-    family="toy_drag",
     site="coordinate",
     formula="f = -c max(v, 0)^3",
     source="this test",

@@ -18,32 +18,15 @@ The exact flow replaces the scheme's half steps, so that strong damping costs no
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 from .equations import Equations, ForceBalance
 from .parameterized_machine import MotionPoint
 
 
-@dataclass(frozen=True)
-class StepState:
-    """State of one machine between two steps of the integrator.
-
-    Attributes:
-        travel: Belt travel of each coordinate, m (radius * angle of a rotary one).
-        speed: Rate of the belt travel, m/s.
-        time: Time since the machine was switched on, s.
-        effect_states: State of each effect that has one (bristle deflection, motor current, ...), in its unit, by its
-            index in `Equations.instances`.
-    """
-
-    travel: Sequence[float]
-    speed: Sequence[float]
-    time: float
-    effect_states: Mapping[int, float]
-
-
-def reference_step(equations: Equations, state: StepState, voltages: Sequence[float], h: float) -> StepState:
+def reference_step(
+    equations: Equations, state: MotionPoint, voltages: Sequence[float], h: float
+) -> MotionPoint:
     """Advance a machine by one step of the integrator, in plain Python, as a reference for the compiled code.
 
     With belt travel p and speed v before the step, the forces are evaluated at p + h/2 v, which gives the acceleration
@@ -52,7 +35,7 @@ def reference_step(equations: Equations, state: StepState, voltages: Sequence[fl
 
     Args:
         equations: Equations of motion of the machine, with floats as parameters.
-        state: State before the step.
+        state: Motion before the step, of floats; its effect states are those of its time (`elapsed` is None).
         voltages: Commanded voltage of each drive, V, constant over the step.
         h: Length of the step, s.
     """
@@ -100,7 +83,7 @@ def reference_step(equations: Equations, state: StepState, voltages: Sequence[fl
         k: equations.next_state(k, z, balance.arguments.get(k, {}), traveled, mean_speed, h, gained)
         for k, z in state.effect_states.items()
     }
-    return StepState(travel, speed, state.time + h, effect_states)
+    return MotionPoint(travel, speed, state.time + h, effect_states)
 
 
 def _direction(v: float, f: float) -> float:

@@ -264,7 +264,6 @@ class FormulaEffect:
         """Return the source of the definition."""
         lines = [
             f'name="{self.name}"',
-            f'family="{self.name}"',
             'site="coordinate"',
             f'formula="{self.text}"',
             'source="proposed from recordings"',
