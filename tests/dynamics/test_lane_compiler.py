@@ -7,17 +7,24 @@ import os
 import pickle
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
+import llvmlite.binding as llvm
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hframe_gym.dynamics import LANES
+from hframe_gym.dynamics.codegen import machine_code
+from hframe_gym.dynamics.codegen.kernel import generate_kernel
+from hframe_gym.dynamics.codegen.kernel_source import FUNCTIONS, KernelSource
 from hframe_gym.dynamics.codegen.lane_compiler import LaneCompileError, compile_lanes
 from hframe_gym.dynamics.codegen.lane_program import FORMULAS, LaneProgram
-from tests.dynamics.lanes import run
+from hframe_gym.effects import EFFECTS
+from hframe_gym.machine import BUILTIN_MACHINES, Machine
+from tests.dynamics.lanes import call, run
 
 NUMBERS = st.lists(st.floats(-1e6, 1e6), min_size=LANES, max_size=LANES)
 ARITHMETIC = """
@@ -119,6 +126,12 @@ def f(A, out):
     run(text, A, out)
     np.testing.assert_array_equal(out[0], -(e**2))
     np.testing.assert_array_equal(out[1], 2.0 ** A[3])
+
+
+def test_constants_keep_the_sign_of_zero() -> None:
+    out = np.empty((2, LANES))
+    run("def f(A, out):\n    store(out, 0, 0.0)\n    store(out, 1, -0.0)\n", np.zeros((1, LANES)), out)
+    np.testing.assert_array_equal(np.signbit(out), [[False] * LANES, [True] * LANES])
 
 
 ELEMENTARY = """
@@ -243,58 +256,120 @@ def test_a_pickled_program_is_compiled_again() -> None:
     assert output.strip() == program.text.strip()
 
 
-# Simulates machines with every kind of branch, and an environment, and prints all bits.
-_BITS = """
-import hashlib, numpy as np, hframe_gym
-import gymnasium as gym
-from hframe_gym.dynamics import LANES, simulate_batch
-from hframe_gym.machine import BUILTIN_MACHINES
-from hframe_gym.effects import EFFECTS
-machine = BUILTIN_MACHINES["hframe"]().with_effects(EFFECTS["cogging"].at("motor1", A=0.01, n=6.0, p=0.3))
-time_s = np.arange(200) * 1e-3
-voltages = 8.0 * np.random.default_rng(0).normal(size=(200, 2))
-digest = hashlib.sha256(b"".join(part.tobytes() for part in simulate_batch(machine, time_s, voltages)))
-envs = gym.make_vec("HFrame-v0", num_envs=5, sensors="rig", randomize="default")
-observation, _ = envs.reset(seed=1)
-for action in np.random.default_rng(1).uniform(-1, 1, (30, 5, 2)).astype(np.float32):
-    observation = envs.step(action)[0]
-digest.update(b"".join(observation[key].tobytes() for key in sorted(observation)))
-print(LANES, digest.hexdigest())
-"""
+FEATURES = {
+    "baseline": ("", 8),  # the oldest processor of its kind, which has no `fma`
+    "avx": ("+avx,+sse4.2", 8),
+    "avx2": ("+avx2,+fma", 8),
+    "avx512": ("+avx512f,+avx512dq,+avx2,+fma", 16),
+}
 
 
-def printed_bits(**variables: str) -> list[str]:
-    """Return what `_BITS` prints in a process with these environment variables: lanes, and the hash of all bits."""
-    environment = os.environ | variables
-    run = subprocess.run(
-        [sys.executable, "-c", _BITS], capture_output=True, text=True, env=environment, check=True
-    )
-    return run.stdout.split()
-
-
-@pytest.fixture(scope="module")
-def bits_of_this_processor() -> str:
-    """Return the hash that this processor gives."""
-    return printed_bits()[1]
-
-
-@pytest.mark.parametrize(
-    ("features", "lanes"),
-    [("", "8"), ("+avx,+sse4.2", "8"), ("+avx2,+fma", "8"), ("+avx512f,+avx512dq,+avx2,+fma", "16")],
-    ids=["baseline", "avx", "avx2", "avx512"],
-)
-def test_every_register_width_gives_the_same_bits(
-    features: str, lanes: str, bits_of_this_processor: str, tmp_path: Path
-) -> None:
-    """Compile for processors with fewer features than this one, down to the oldest of its kind, which has no `fma`."""
-    import llvmlite.binding as llvm
-
+def skip_without(features: str) -> None:
+    """Skip the test if this processor lacks one of the features."""
     here = llvm.get_host_cpu_features()
     missing = [name[1:] for name in features.split(",") if name and not here.get(name[1:])]
     if missing:
         pytest.skip(f"this processor has no {', '.join(missing)}")
 
-    forced = printed_bits(
-        NUMBA_CPU_NAME="generic", NUMBA_CPU_FEATURES=features, NUMBA_CACHE_DIR=str(tmp_path)
+
+def cogging_machine() -> Machine:
+    """Return a machine whose step has every kind of branch."""
+    cogging = EFFECTS["cogging"].at("motor1", A=0.01, n=6.0, p=0.3)
+    return BUILTIN_MACHINES["hframe"]().with_effects(cogging)
+
+
+def states_and_measurements(addresses: Mapping[str, int], source: KernelSource, lanes: int) -> bytes:
+    """Return the states and sensor measurements of 16 machines after each of 200 steps, by a kernel's functions."""
+    rng = np.random.default_rng(0)
+    nominal = np.array(list(source.machine.parameters.values()))
+    parameters = nominal[:, None] * rng.uniform(0.8, 1.2, (len(nominal), 16))
+    voltages = 8.0 * rng.normal(size=(200, len(source.machine.drives), 16))
+    seen = np.zeros((200, source.states + len(source.machine.sensors), 16))
+    for first in range(0, 16, lanes):
+        block = slice(first, first + lanes)
+        constants = np.ascontiguousarray(parameters[:, block])
+        derived = np.zeros((len(source.layout.derived), lanes))
+        state = np.zeros((source.states, lanes))
+        forces = np.zeros((len(source.machine.coordinates), lanes))
+        measured = np.zeros((len(source.machine.sensors), lanes))
+        call(addresses["prepare"], constants, derived, 1e-3)
+        for step in range(200):
+            held = np.ascontiguousarray(voltages[step, :, block])
+            call(addresses["advance"], state, constants, derived, held, forces, 1e-3, 1)
+            call(addresses["read_sensors"], state, constants, measured)
+            seen[step, :, block] = np.concatenate([state, measured])
+    assert np.isfinite(seen).all()
+    assert np.ptp(seen[-1], axis=1).max() > 0.0
+    return seen.tobytes()
+
+
+@pytest.mark.parametrize(("features", "lanes"), FEATURES.values(), ids=FEATURES)
+def test_the_kernel_of_every_processor_gives_the_same_bits(
+    features: str, lanes: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Compile for processors with fewer features than this one."""
+    skip_without(features)
+    text, source = generate_kernel(cogging_machine())
+    here = states_and_measurements(LaneProgram(text, FUNCTIONS).addresses, source, LANES)
+    monkeypatch.setattr(machine_code, "processor", lambda: ("generic", features))
+    engine = machine_code._load(machine_code._compile(compile_lanes(text, FORMULAS, lanes)))
+    addresses = {name: engine.get_function_address(name) for name in FUNCTIONS}
+    assert states_and_measurements(addresses, source, lanes) == here
+
+
+# Simulates a machine with every kind of branch, and means of the voltages over its drives' delay; prints all bits.
+_SIMULATION = """
+import hashlib, numpy as np, hframe_gym
+from hframe_gym.dynamics import LANES, simulate_batch
+from hframe_gym.machine import BUILTIN_MACHINES
+from hframe_gym.effects import EFFECTS
+cogging = EFFECTS["cogging"].at("motor1", A=0.01, n=6.0, p=0.3)
+machine = BUILTIN_MACHINES["hframe"]().with_effects(cogging, EFFECTS["input_delay"].at("drives", d=0.0023))
+time_s = np.arange(200) * 1e-3
+voltages = 8.0 * np.random.default_rng(0).normal(size=(200, 2))
+digest = hashlib.sha256(b"".join(part.tobytes() for part in simulate_batch(machine, time_s, voltages)))
+print(LANES, digest.hexdigest())
+"""
+_ENVIRONMENT = """
+import gymnasium as gym
+envs = gym.make_vec("HFrame-v0", num_envs=5, sensors="rig", randomize="default")
+observation, _ = envs.reset(seed=1)
+for action in np.random.default_rng(1).uniform(-1, 1, (30, 5, 2)).astype(np.float32):
+    observation = envs.step(action)[0]
+digest.update(b"".join(observation[key].tobytes() for key in sorted(observation)))
+print(digest.hexdigest())
+"""
+
+
+def printed_by(script: str, **variables: str) -> list[str]:
+    """Return the words that a script prints in a process with these environment variables."""
+    environment = os.environ | variables
+    run = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, env=environment, check=True
     )
-    assert forced == [lanes, bits_of_this_processor]
+    return run.stdout.split()
+
+
+@pytest.mark.parametrize(
+    ("features", "lanes", "script"),
+    [
+        pytest.param(*FEATURES["baseline"], _SIMULATION, id="baseline"),
+        # All loops around the kernels are compiled anew, which takes longest.
+        *(
+            pytest.param(
+                *FEATURES[name], _SIMULATION + _ENVIRONMENT, id=f"{name}, environment", marks=pytest.mark.slow
+            )
+            for name in FEATURES
+        ),
+    ],
+)
+def test_the_loops_of_every_processor_give_the_same_bits(
+    features: str, lanes: int, script: str, tmp_path: Path
+) -> None:
+    """Loops around the kernels are compiled for the processor as well."""
+    skip_without(features)
+    width, *bits = printed_by(
+        script, NUMBA_CPU_NAME="generic", NUMBA_CPU_FEATURES=features, NUMBA_CACHE_DIR=str(tmp_path)
+    )
+    assert width == str(lanes)
+    assert bits == printed_by(script)[1:]

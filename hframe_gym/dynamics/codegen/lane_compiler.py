@@ -85,6 +85,13 @@ def _syntax_tree(function: Callable[..., Any]) -> ast.FunctionDef:
     return node
 
 
+@lru_cache(maxsize=1024)
+def _vector_constant(number: str, lanes: int) -> ir.Constant:
+    """Return a number, in hexadecimal because 0.0 equals -0.0, in all lanes; its long text is composed once."""
+    element = ir.Constant(_F64, float.fromhex(number))
+    return ir.Constant(ir.VectorType(_F64, lanes), [element] * lanes)
+
+
 class _Scope:
     """Names of one function or inlined formula.
 
@@ -108,7 +115,7 @@ class _Function:
         self._module, self._formulas, self._lanes = module, formulas, lanes
         self._vector = ir.VectorType(_F64, lanes)
         self._mask = ir.VectorType(ir.IntType(1), lanes)
-        self._rows = _F64.as_pointer()
+        self._rows, self._vector_pointer = _F64.as_pointer(), self._vector.as_pointer()
         kinds = [_KINDS[ast.unparse(a.annotation)] if a.annotation else self._rows for a in node.args.args]
         self._function = ir.Function(module, ir.FunctionType(ir.VoidType(), kinds), node.name)
         self._builder = ir.IRBuilder(self._function.append_basic_block("entry"))
@@ -316,7 +323,7 @@ class _Function:
             raise LaneCompileError(f"{ast.unparse(rows)} is no array of rows")
         index = self._operation(ast.Mult, self._value(row, scope), self._lanes)
         address = self._builder.gep(first, [self._as_type(index, _I64)])
-        return self._builder.bitcast(address, self._vector.as_pointer())
+        return self._builder.bitcast(address, self._vector_pointer)
 
     def _as_type(self, value: Value, kind: Any) -> Value:
         """Return a number as a constant of LLVM; other values unchanged."""
@@ -331,7 +338,7 @@ class _Function:
     def _as_vector(self, value: Value) -> Value:
         """Return a scalar as a vector with the same number in all lanes."""
         if not isinstance(value, ir.Value):
-            return ir.Constant(self._vector, [float(value)] * self._lanes)
+            return _vector_constant(float(value).hex(), self._lanes)
         if value.type == self._vector:
             return value
         undefined = ir.Constant(self._vector, ir.Undefined)
