@@ -64,6 +64,13 @@ def axis() -> Machine:
 
 
 @pytest.fixture
+def without_drawing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave plots out of report pages, for tests of their texts: drawing takes nine tenths of the time of a page."""
+    monkeypatch.setattr("hframe_gym.web_page.page.panel_svg", lambda panel, prefix: "")
+    monkeypatch.setattr("hframe_gym.identification.report.plots.save_panels", lambda panels, path: None)
+
+
+@pytest.fixture
 def write_run(tmp_path: Path) -> Callable[..., Path]:
     """Return a function that writes a valid recording of 20 rows and returns its path.
 

@@ -11,17 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hframe_gym.effects import EFFECTS, get_effect
-from hframe_gym.effects.smooth_table import KNOTS
 from hframe_gym.evaluation import Episodes, score_episodes, write_scorecard
 from hframe_gym.identification import write_result
-from hframe_gym.identification.fit.missing_force import Dependence
-from hframe_gym.identification.report.experiment_design import ExperimentDesign
 from hframe_gym.identification.report.page import build_report
-from hframe_gym.machine import Uncertainty
-from hframe_gym.web_page import COLORS, Panel, number, panel_svg
+from hframe_gym.web_page import COLORS, Panel, number, panel_svg, save_panels
 from tests.browser import SCHEMES, WIDTHS, chromium, faults_of, open_page
-from tests.identification.single_axis import AXIS, PRESLIDING, axis_result, axis_runs
+from tests.identification.report.axis_results import PLAN, STRIBECK, TABLE, result_of
+from tests.identification.single_axis import AXIS, axis_runs
 
 pytest.importorskip("jinja2")
 pytest.importorskip("matplotlib")
@@ -33,30 +29,13 @@ WARNING = "the agent 'ppo' was trained on the machine 'hframe', not on this one"
 
 def report_page(kind: str, folder: Path) -> Path:
     """Write the report page of a hand-made result with everything that a page can have."""
-    after = AXIS.with_effects(EFFECTS["stribeck_friction"].at("x", dF=0.8, vs=0.02))
-    data = axis_runs(after, rows=500, volts=2.0)
-    plan, rivals = None, ()
+    data = axis_runs(STRIBECK, rows=500, volts=2.0)
     if kind == "effect":
-        plan = ExperimentDesign(
-            ("stribeck_friction@x", "presliding@x"), np.arange(5) * 1e-3, np.zeros((5, 1)), 40.0, 0.5, "x_m"
-        )
-        rivals = (PRESLIDING,)
+        result = result_of(data, "effect_found", STRIBECK, PLAN, gain=0.9)
     elif kind == "table":
-        curve = {f"k{i:02d}": 0.01 * i - 0.12 for i in range(KNOTS)}
-        curve |= {f"f{i:02d}": 0.1 * np.sin(i) for i in range(KNOTS)}
-        after = AXIS.with_effects(get_effect("smooth_force[position of x]").at("x", **curve))
+        result = result_of(data, "effect_found", TABLE)
     else:
-        after = AXIS
-    names = ("x.mass", "x.viscous", *(f"{e.label}.{key}" for e in after.effects for key in e.parameters))
-    after = after.replace(uncertainty=Uncertainty(names, 1e-6 * np.eye(len(names))))
-    result = axis_result(
-        data,
-        after,
-        rivals=rivals,
-        verdict="unexplained" if kind == "unexplained" else "effect_found",
-        dependence=(Dependence("velocity of x", "x", 0.8),),
-        experiment=plan,
-    )
+        result = result_of(data, "unexplained", AXIS)
     result = dataclasses.replace(result, white=kind != "unexplained")
     write_result(result, folder, ("advice: run_0: sampled at 999 Hz",))
     return build_report(folder)
@@ -321,3 +300,16 @@ def test_a_panel_has_a_label_and_identifiers_of_its_own() -> None:
 )
 def test_numbers_are_written_without_exponent_where_that_is_short(value: float, text: str) -> None:
     assert number(value) == text
+
+
+def test_titles_in_picture_files_are_not_cut_off(tmp_path: Path) -> None:
+    panel = Panel(
+        "Force that the model lacks on carriage_x, against velocity of carriage_x", "", lambda axes: None, 2.8
+    )
+    save_panels([panel], tmp_path / "plot.svg")
+    texts = re.findall(
+        r"<text[^>]*>([^<]*)</text>|<tspan[^>]*>([^<]*)</tspan>", (tmp_path / "plot.svg").read_text()
+    )
+    title = [line for pair in texts for line in pair if re.search("[a-z]{2}", line)]
+    assert " ".join(title) == panel.title
+    assert max(map(len, title)) <= 44

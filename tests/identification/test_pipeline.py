@@ -102,7 +102,7 @@ def test_a_run_that_contradicts_the_others_is_left_out_and_named(wrong: str, war
 def test_a_channel_that_was_never_measured_is_null_in_the_report(tmp_path: Path) -> None:
     machine = BUILTIN_MACHINES["hframe"]()
     recordings = []
-    for r in load_recordings(EXAMPLES / "rig_b", machine):
+    for r in load_recordings(EXAMPLES / "rig_b", machine)[:4]:
         outputs = r.outputs.copy()
         outputs[:, 3] = np.nan
         recordings.append(dataclasses.replace(r, outputs=outputs))
@@ -115,11 +115,13 @@ def test_a_channel_that_was_never_measured_is_null_in_the_report(tmp_path: Path)
     assert report["after"]["held_out"]["x_m"]["noise_ratio"] < 1.1
 
 
-@pytest.mark.oracle
-def test_the_order_of_the_recordings_does_not_matter(result: IdentificationResult) -> None:
-    machine = BUILTIN_MACHINES["hframe"]()
-    reversed_result = identify(load_recordings(EXAMPLES / "rig_a", machine)[::-1], machine, budget=math.inf)
-    assert reversed_result.as_json() | {"seconds": 0} == result.as_json() | {"seconds": 0}
+def test_the_order_of_the_recordings_does_not_matter() -> None:
+    runs = limited_runs([6.0] * 4)
+    first, second = (
+        identify(recordings, AXIS, budget=math.inf).as_json() for recordings in (runs, runs[::-1])
+    )
+    assert first["effects"]
+    assert first | {"seconds": 0} == second | {"seconds": 0}
 
 
 def test_held_out_runs_are_never_fitted(result: IdentificationResult) -> None:

@@ -30,6 +30,7 @@ from hframe_gym.identification.report.experiment_design import (
 )
 from hframe_gym.machine import BUILTIN_MACHINES, Machine, Uncertainty
 from hframe_gym.recordings import Recording, load_recording
+from tests.identification.report.axis_results import PLAN
 
 PRESET = BUILTIN_MACHINES["axis"]()
 AXIS = PRESET.replace(coordinates=(dataclasses.replace(PRESET.coordinates[0], range=None),))
@@ -158,3 +159,12 @@ def test_a_machine_that_may_be_unstable_raises_no_error() -> None:
     remaining = after_adaptation(np.vstack([enormous, enormous]), difference)
     along = enormous / np.linalg.norm(enormous)
     np.testing.assert_allclose(remaining, difference - (along @ difference) * along, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("sigma", "promise"), [(40.0, "by 40 standard"), (2.35e8, "clearly (by more than 100 standard")]
+)
+def test_the_proposed_experiment_promises_no_more_than_is_known(sigma: float, promise: str) -> None:
+    why = dataclasses.replace(PLAN, sigma=sigma).why
+    assert f"their predictions should differ {promise} deviations of the sensors' noise" in why
+    assert "e+" not in why
