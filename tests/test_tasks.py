@@ -40,7 +40,7 @@ def commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
 def test_a_task_installs_first_and_again_only_after_a_change(commands: list[str], tmp_path: Path) -> None:
     tasks.main(["demo"])
     assert [line.split(" -c ")[0] for line in commands[:2]] == [
-        "python -m pip install -q --disable-pip-version-check"
+        "python -m pip install -q --disable-pip-version-check --no-compile"
     ] * 2
     assert [line.split()[0:2] for line in commands[2:]] == [["hframe", "identify"], ["hframe", "evaluate"]]
     assert (tmp_path / "hframe_gym" / "agents").resolve() == tmp_path / "agents"

@@ -56,6 +56,8 @@ def install() -> None:
             "install",
             "-q",
             "--disable-pip-version-check",
+            # pip would compile all 17,000 modules one after the other, 50 s; Python compiles those that are imported.
+            "--no-compile",
             "-c",
             "constraints.txt",
             *words,
