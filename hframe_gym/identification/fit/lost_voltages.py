@@ -9,7 +9,8 @@ next, so that the response is not linear.
 
 A command that rests between its changes may have kept its last value over the gaps, as where the controller itself was
 late. If the motion is then predicted better, held values take the place of interpolated ones, also in gaps that are too
-long for an estimate.
+long for an estimate. They need no estimate, which would take up what a wrong machine lacks, unless it leaves clearly
+less of the motion: then a step lies within a gap after all.
 """
 
 from __future__ import annotations
@@ -29,11 +30,12 @@ from scipy.sparse.linalg import spsolve
 from ...arrays import Array
 from ...machine import Machine
 from ...preparation.dataset import Dataset, PreparedRecording
-from ..judge.run import commands_are_held_over_gaps, may_change_between_rows
+from ..judge.error import FitError
+from ..judge.run import commands_are_held_over_gaps, may_change_between_rows, replaces_held_commands
 from ..predict.free_parameters import default_free_parameters
-from ..predict.prediction import SEARCH_BANDWIDTH, map_runs
+from ..predict.prediction import SEARCH_BANDWIDTH, innovation_variance, map_runs
 from ..predict.voltage_responses import voltage_responses
-from .estimation import fit, prediction_costs
+from .estimation import fit, prediction_cost, prediction_costs
 from .model_error import continue_fit
 from .voltage_updates import successive_changes
 
@@ -177,8 +179,20 @@ def _with_estimated_voltages(
         candidate, information = _most_probable(machine, estimated, data, unknowns, bandwidth)
         if information > most:
             estimated, most = candidate, information
+    if held:
+        bridged = _bridged(run, held)
+        alone = [dataclasses.replace(data, runs=(filled,)) for filled in (estimated, bridged)]
+        if not replaces_held_commands(*(_error(machine, filled) for filled in alone)):
+            estimated = bridged
     change = float(np.max(np.abs(estimated.inputs - run.inputs)[rows] / deviations))
     return estimated, math.inf if changed else change
+
+
+def _error(machine: Machine, data: Dataset) -> FitError:
+    """Return the error of the predictions with the widest observer."""
+    floor, _ = innovation_variance(machine, data, SEARCH_BANDWIDTH)
+    cost = prediction_cost(machine, data, SEARCH_BANDWIDTH)
+    return FitError(cost, data.count, SEARCH_BANDWIDTH, widest=True, floor=floor)
 
 
 def _most_probable(

@@ -82,8 +82,8 @@ class HeldOutTest:
     session: Session
     held_out: Dataset
     criteria: SelectionCriteria
-    # Machines with their fitted runs, names and errors; an evaluation takes seconds.
-    _known: list[tuple[Machine, Dataset, str, ModelEvaluation]] = field(
+    # Machines with their fitted runs and errors; an evaluation takes seconds.
+    _known: list[tuple[Machine, Dataset, ModelEvaluation]] = field(
         default_factory=list, init=False, repr=False
     )
 
@@ -93,7 +93,7 @@ class HeldOutTest:
         return with_all_measurements(self.held_out, self.session.usable)
 
     def errors(self, machine: Machine, fitted: Dataset, name: str = "") -> ModelEvaluation:
-        """Simulate a machine over the held-out runs.
+        """Simulate a machine over the held-out runs, or look up the errors of an equal one.
 
         Args:
             machine: Any machine with these drives and sensors.
@@ -103,12 +103,14 @@ class HeldOutTest:
         Returns:
             The machine with its errors, see `evaluate_held_out`.
         """
-        for known, of_fit, known_name, errors in self._known:
-            if known is machine and of_fit is fitted and known_name == name:
-                return errors
-        named = machine.replace(name=name) if name else machine
+        labels = {"name": name or machine.name, "uncertainty": machine.uncertainty}
+        moving = machine.replace(name="", uncertainty=None)  # what a simulation depends on
+        for known, of_fit, errors in self._known:
+            if of_fit is fitted and known == moving:
+                return dataclasses.replace(errors, machine=errors.machine.replace(**labels))
+        named = machine.replace(**labels)
         errors = evaluate_held_out(named, fitted, self.validation, self.session.recordings, self.criteria)
-        self._known.append((machine, fitted, name, errors))
+        self._known.append((moving, fitted, errors))
         return errors
 
     def evaluate(self, outcome: SearchOutcome) -> Evaluated:

@@ -106,6 +106,27 @@ def test_commands_of_a_late_controller_are_held_over_its_gaps(gaps: Sequence[tup
     assert np.max(np.abs(fitted.runs[0].inputs - data.runs[0].inputs)) > 1.0
 
 
+def test_a_wrong_machine_does_not_move_held_commands() -> None:
+    """It would have commands far beyond those at the ends of a gap, which its simulations then use."""
+    steps = np.repeat(np.random.default_rng(5).uniform(-3.0, 3.0, (ROWS // 100, 1)), 100, axis=0)
+    steps[:100] = 0.0
+    run = late_controller(steps, SHORT_GAPS, 5)
+    wrong = AXIS.replace({"x.mass": 0.7 * AXIS.coordinates[0].mass})
+    (estimated,) = estimate_lost_voltages(prepare([run], AXIS), wrong).runs
+    for first, end in SHORT_GAPS:
+        assert np.all(estimated.inputs[first:end] == estimated.inputs[first - 1])
+
+
+def test_a_step_within_a_single_gap_is_estimated_although_a_held_command_is_nearer() -> None:
+    """The logger lost rows 95 to 110; the step in row 108 is nearer to their end than to their middle."""
+    steps = np.where(np.arange(ROWS) < 108, 1.0, 3.0)[:, None] * (np.arange(ROWS) >= 50)[:, None]
+    complete = recorded(AXIS, steps, 5)
+    data = prepare([without_rows(complete, np.arange(95, 110))], AXIS)
+    (estimated,) = estimate_lost_voltages(data, AXIS).runs
+    lost = slice(95, 110)
+    assert np.sum(estimated.inputs[lost] - steps[lost]) == pytest.approx(0.0, abs=0.4)  # held: -4 V
+
+
 def test_smooth_commands_are_not_held() -> None:
     """A command that changes in row after row went on changing in the gaps, whatever a wrong machine seems to say."""
     time_s = np.arange(ROWS) * 1e-3
