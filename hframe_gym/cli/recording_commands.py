@@ -255,7 +255,8 @@ def identify(
         with search_progress(log) as progress:
             result, findings = fit(runs_dir, recordings, log, progress)
         contents, problem = _write_rig(result, findings, runs_dir, out, out, log)
-        console.print(identification_table(contents, channels := list(declared.output_channels)))
+        channels = list(result.declared.machine.output_channels)
+        console.print(identification_table(contents, channels))
         log(f"Result: {verdict_sentence(contents, channels)}")
         for line in effect_lines(contents):
             log(f"  {line}")

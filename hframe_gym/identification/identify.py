@@ -87,6 +87,7 @@ def identify(
     # Prepare: which runs are fitted, and what of them can be used.
     held_names = divide_runs(recordings, held_out)
     session = prepare_session(recordings, machine, criteria, log)
+    machine = session.machine
     all_runs, statements = _without_silent_runs(session, held_names, log)
 
     if any(is_long(r, machine) for r in session.recordings if r.name in held_names):
@@ -94,7 +95,7 @@ def identify(
 
     # Refit, then propose effects, fit them, gather evidence and judge it, until none passes: in the fitted runs.
     found = find_effects(
-        session.machine,
+        machine,
         all_runs,
         held_names,
         may_exchange=not held_out,

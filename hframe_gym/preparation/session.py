@@ -23,6 +23,7 @@ from .saturation import Range
 from .sensor_noise import independent_values, sensor_noise, sensor_quantum
 from .sensor_zeros import free_zeros, has_zero
 from .session_zeros import common_encoder_zeros
+from .unmeasured_positions import without_unmeasured_positions
 from .usable import from_first_measurement, usable_run, without_saturated, without_unknown_voltage
 
 _TURNED = (
@@ -36,12 +37,14 @@ class Session(NamedTuple):
     """Runs of a session as they can be fitted.
 
     Attributes:
-        machine: Machine as declared, but with the directions of the drives that the runs show.
+        machine: Machine as declared, but with the directions of the drives that the runs show, and without sensors of
+            positions if no run measures any.
         recordings: The runs as logged, from their first measurement on if they do not begin at rest.
         usable: The same without measurements that are not usable, but with those at the end of a sensor's range.
         data: The runs prepared for a fit, without these.
         ranges: Ranges of the sensors that saturate, m or rad, by channel.
-        statements: A sentence about each coordinate whose drive turns the other way than declared.
+        statements: A sentence about sensors that are left out, and about each coordinate whose drive turns the other
+            way than declared.
     """
 
     machine: Machine
@@ -66,21 +69,25 @@ def prepare_session(
         criteria: Thresholds by which a sensor at the end of its range is recognized.
         log: Called with a line of text.
     """
+    recordings, machine, statements = without_unmeasured_positions(recordings, machine)
+    for statement in statements:
+        log(statement)
     begun = [from_first_measurement(recording, machine) for recording in recordings]
     for before, after in zip(recordings, begun, strict=True):
         if after is not before:
             count = len(before.time_s) - len(after.time_s)
             log(f"{before.name}: begins with its first measurement; rows not used: {count}")
     recordings = begun
-    session = _prepared(recordings, machine, criteria, log)
+    session = _prepared(recordings, machine, criteria, log)._replace(statements=statements)
     turned = turned_coordinates(machine, session.data.runs)
     if not turned:
         return session
-    statements = tuple(map(_TURNED.format, turned))
-    for statement in statements:
+    of_turned = tuple(map(_TURNED.format, turned))
+    for statement in of_turned:
         log(statement)
     turned_machine = with_turned(machine, turned)
-    return _prepared(recordings, turned_machine, criteria, log)._replace(statements=statements)
+    session = _prepared(recordings, turned_machine, criteria, log)
+    return session._replace(statements=(*statements, *of_turned))
 
 
 def _prepared(

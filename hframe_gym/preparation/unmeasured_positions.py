@@ -1,0 +1,48 @@
+"""A machine whose declared positions no run measures is one of speeds.
+
+Templates declare an encoder beside a tachometer, and a log may have the speed alone. With a position sensor that
+measured nothing, an observer would correct nothing: it corrects speeds only where no sensor measures the position. Nor
+would there be a balance of forces.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..machine import Machine
+from ..recordings import Recording
+
+_LEFT_OUT = (
+    "No run measures a position. {} is left out, also of the machines here, so forces that depend on the position are "
+    "not identified. Add it again to a machine file for a controller that reads it."
+)
+
+
+def without_unmeasured_positions(
+    recordings: Sequence[Recording], machine: Machine
+) -> tuple[list[Recording], Machine, tuple[str, ...]]:
+    """Leave out the sensors of positions if no run has a measurement of any, but one of a speed.
+
+    Args:
+        recordings: Runs of a session.
+        machine: Machine as declared.
+
+    Returns:
+        Runs and machine without these sensors, and a sentence about them; the same runs and machine, and none, if a
+        position was measured.
+    """
+    measured = np.any([np.isfinite(r.outputs).any(axis=0) for r in recordings], axis=0)  # (sensors,)
+    speeds = np.array([s.of_velocity for s in machine.sensors], np.bool_)
+    positions = machine.position_sensors
+    if not positions.any() or measured[positions].any() or not measured[speeds].any():
+        return list(recordings), machine, ()
+    channels = [s.channel for s in machine.sensors if s.of_position]
+    reduced = machine.replace(
+        sensors=tuple(s for s in machine.sensors if not s.of_position),
+        effects=tuple(e for e in machine.effects if e.site not in channels),
+    )
+    runs = [dataclasses.replace(r, outputs=r.outputs[:, ~positions]) for r in recordings]
+    return runs, reduced, (_LEFT_OUT.format(", ".join(channels)),)
