@@ -103,12 +103,12 @@ class HeldOutTest:
         Returns:
             The machine with its errors, see `evaluate_held_out`.
         """
-        labels = {"name": name or machine.name, "uncertainty": machine.uncertainty}
+        named = machine.replace(name=name) if name else machine
         moving = machine.replace(name="", uncertainty=None)  # what a simulation depends on
         for known, of_fit, errors in self._known:
             if of_fit is fitted and known == moving:
-                return dataclasses.replace(errors, machine=errors.machine.replace(**labels))
-        named = machine.replace(**labels)
+                again = errors.machine.replace(name=named.name, uncertainty=named.uncertainty)
+                return dataclasses.replace(errors, machine=again)
         errors = evaluate_held_out(named, fitted, self.validation, self.session.recordings, self.criteria)
         self._known.append((moving, fitted, errors))
         return errors
