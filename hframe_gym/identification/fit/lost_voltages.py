@@ -52,9 +52,23 @@ _SMALLEST_DECREASE = 0.01
 _UNCHANGED = 0.05  # change relative to the error of interpolation that is not worth another fit
 
 
+class LostVoltages(NamedTuple):
+    """Runs with the voltages in rows that the logger dropped.
+
+    Attributes:
+        fitted: The fitted runs, with estimated voltages.
+        held_out: The held-out runs, with estimated voltages.
+        held: Whether the commands keep their last value over the gaps.
+    """
+
+    fitted: Dataset
+    held_out: Dataset
+    held: bool = False
+
+
 def with_lost_voltages(
     machine: Machine, data: Dataset, held_out: Dataset, log: Callable[[str], object]
-) -> tuple[Dataset, Dataset]:
+) -> LostVoltages:
     """Estimate the voltages in rows that the logger dropped, with the machine refitted to the fitted runs.
 
     Args:
@@ -63,11 +77,11 @@ def with_lost_voltages(
         log: Called with a line of text if voltages are estimated, and if they are held over gaps.
 
     Returns:
-        The fitted and the held-out runs, with estimated voltages.
+        The same runs where no row was dropped.
     """
     unknown = _count_unknown_rows(data) + _count_unknown_rows(held_out)
     if not unknown and not _may_be_held(data):
-        return data, held_out
+        return LostVoltages(data, held_out)
     fitted = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
     for _ in range(_VOLTAGE_ITERATIONS):
         refined = estimate_lost_voltages(data, fitted.machine)
@@ -76,9 +90,14 @@ def with_lost_voltages(
         data, fitted = refined, continue_fit(fitted, refined, SEARCH_BANDWIDTH)
     if unknown:
         log(f"voltages of {unknown} dropped rows are estimated from the measurements")
-    if _is_held(data, fitted.machine):
+    if held := _is_held(data, fitted.machine):
         log("the commands keep their last value over the gaps of the log: that predicts the motion better")
-    return data, estimate_lost_voltages(held_out, fitted.machine)
+    return LostVoltages(data, estimate_lost_voltages(held_out, fitted.machine), held)
+
+
+def held_over_gaps(data: Dataset) -> Dataset:
+    """Copy a data set, with commands that keep their last recorded values in dropped rows."""
+    return dataclasses.replace(data, runs=tuple(_bridged(run, held=True) for run in data.runs))
 
 
 def estimate_lost_voltages(data: Dataset, machine: Machine) -> Dataset:

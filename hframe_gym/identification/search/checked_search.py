@@ -17,7 +17,7 @@ from ..budget import SECOND_SEARCH_PART, Budget, stage_ends
 from ..evidence.held_out import contradicting_held_out_runs, held_out_gain, is_excited, worsens_simulation
 from ..evidence.tried_effects import Log
 from ..fit.estimation import Fit, fit
-from ..fit.lost_voltages import with_lost_voltages
+from ..fit.lost_voltages import held_over_gaps, with_lost_voltages
 from ..fit.plain_fit import PlainFit, better_start, plain_fit
 from ..fit.run_differences import find_run_differences
 from ..fit.start_estimation import refine_dataset
@@ -166,8 +166,11 @@ def _search_and_check(
     if in_part:
         log(f"effects are searched for in {describe_part(data, all_rows)}")
         all_rows = representative_part(all_rows, machine, size=budget.session_part * LARGEST_FIT)
-    logged = {run.name: run.inputs for run in data.runs}
-    data, held_out = with_lost_voltages(machine, data, held_out, log)
+    logged = data
+    data, held_out, held = with_lost_voltages(machine, data, held_out, log)
+    if held:
+        logged, all_rows = held_over_gaps(logged), held_over_gaps(all_rows)
+    voltages = {run.name: run.inputs for run in logged.runs}
     refitted = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
     different = _different_run(refitted, data, held_out, criteria)
     if different is not None:
@@ -194,7 +197,7 @@ def _search_and_check(
         # The errors of voltages between all rows of a long log would need too much memory.
         complete = all_rows if in_part and updates.per_row == 1 else None
         # Voltages that are estimated by a machine would make its parameters part of the plain fit.
-        plain = plain_fit(machine, fitted.with_inputs(logged) if complete is None else complete, budget)
+        plain = plain_fit(machine, fitted.with_inputs(voltages) if complete is None else complete, budget)
         if plain is not None and plain.seconds is not None:
             messages = (*messages, _PLAIN_ENDED.format(plain.seconds))
             log(
@@ -227,7 +230,7 @@ def _interpolated(
     machine: Machine, updates: int, data: Dataset, held_out: Dataset, log: Log
 ) -> tuple[Dataset, Dataset]:
     """Return runs whose voltages are interpolated between the rows, with the errors that this causes."""
-    data, held_out = with_lost_voltages(
+    data, held_out, _ = with_lost_voltages(
         machine, data.with_updates(updates), held_out.with_updates(updates), log
     )
     refitted = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)

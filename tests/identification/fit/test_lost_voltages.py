@@ -14,6 +14,7 @@ from hframe_gym.identification import identify, prepare
 from hframe_gym.identification.fit.lost_voltages import (
     _count_unknown_rows,
     estimate_lost_voltages,
+    held_over_gaps,
     with_lost_voltages,
 )
 from hframe_gym.identification.predict.voltage_responses import _groups_together, voltage_responses
@@ -101,8 +102,12 @@ def test_commands_of_a_late_controller_are_held_over_its_gaps(gaps: Sequence[tup
     assert np.sqrt(np.mean(simulate_recording(AXIS, run).error ** 2)) < 1.5 * NOISE
     data = prepare([run], AXIS)
     lines: list[str] = []
-    fitted, _ = with_lost_voltages(AXIS, data, data, lines.append)
+    fitted, _, held = with_lost_voltages(AXIS, data, data, lines.append)
     assert lines[-1].startswith("the commands keep their last value over the gaps")
+    assert held
+    (known,) = held_over_gaps(data).runs  # for the plain fit, which uses no estimates
+    for first, end in gaps:
+        assert np.all(known.inputs[first:end] == known.inputs[first - 1])
     assert np.max(np.abs(fitted.runs[0].inputs - data.runs[0].inputs)) > 1.0
 
 
@@ -275,6 +280,6 @@ def test_rows_in_long_gaps_are_not_counted_as_estimated() -> None:
     complete = [recorded(AXIS, random_steps(seed), seed) for seed in range(2)]
     data = prepare([without_rows(run, np.arange(300, 321)) for run in complete], AXIS)
     lines: list[str] = []
-    assert with_lost_voltages(AXIS, data, data, lines.append) == (data, data)
+    assert with_lost_voltages(AXIS, data, data, lines.append) == (data, data, False)
     assert lines == []
     assert _count_unknown_rows(prepare([without_rows(complete[0], [*range(300, 321), 500])], AXIS)) == 1
