@@ -15,6 +15,9 @@ command line.
 | `NAME-online` | online | parameters that NAME's estimator finds in practice are kept from one episode to the next |
 | `ppo-trained`, `apg-trained`, `residual-trained` | identified | agents, trained further on the corrected machine |
 
+State estimators of identified entries take the encoders for sensors that drift if the held-out recordings are then more
+probable (`encoders_drift`).
+
 The weights of an agent NAME are those of seed 0; `NAME-seed1-corrected` and the like are those of other seeds, which
 `hframe train` trains first where the package does not ship them (`benchmarks.agent_seeds.agent_folder`).
 """
@@ -35,9 +38,15 @@ import numpy as np
 from typing_extensions import override
 
 from benchmarks.gap.control_loop import PERIOD_S, GapEpisodes
-from benchmarks.gap.machines import Identified, identified
+from benchmarks.gap.machines import identified
 from benchmarks.gap.recorder import Recorder, standard_session
-from hframe_gym.controllers import CONTROLLERS, Controller, OutputFeedbackController, StateEstimator
+from hframe_gym.controllers import (
+    CONTROLLERS,
+    Controller,
+    OutputFeedbackController,
+    StateEstimator,
+    encoders_drift,
+)
 from hframe_gym.envs import Task, observed_machine
 from hframe_gym.errors import InputError
 from hframe_gym.machine import Machine
@@ -193,10 +202,12 @@ class DesignedEntry(GapEntry):
     Attributes:
         machine: Machine of the controller and of the state estimator.
         covariance: Covariance of the logarithms of the parameters with which the estimator begins; None: the default.
+        drifting_encoders: Whether the estimator also estimates errors of the encoders, which wander slowly.
     """
 
     machine: Machine
     covariance: Array | None = None
+    drifting_encoders: bool = False
 
     def design(self, task: Task) -> Controller:
         """Return the controller of a task, which may need the full state."""
@@ -204,7 +215,7 @@ class DesignedEntry(GapEntry):
 
     @override
     def controller(self, task: Task) -> Controller:
-        return from_measurements(self.design(task), self.machine, self.covariance)
+        return from_measurements(self.design(task), self.machine, self.covariance, self.drifting_encoders)
 
 
 class RegisteredController(DesignedEntry):
@@ -262,10 +273,7 @@ class DriftingEncoders(DeclaredMachine):
     """The machine is the declared one, and its state estimator takes the encoders for sensors that drift."""
 
     knowledge = "declared machine, encoders may drift"
-
-    @override
-    def controller(self, task: Task) -> Controller:
-        return from_measurements(self.design(task), self.machine, drifting_encoders=True)
+    drifting_encoders = True
 
 
 class IdentifiedMachine(DesignedEntry):
@@ -281,9 +289,13 @@ class IdentifiedMachine(DesignedEntry):
 
     @override
     def prepare(self, declared: Machine, recorder: Recorder, folder: Path) -> None:
-        self.found = _standard(declared, recorder, folder)
+        recordings = standard_session(recorder)
+        # All entries of a plant share the identification.
+        self.found = identified(recordings, declared, folder / "standard")
         self.machine = self.found.refitted if self.model == "refitted" else self.found.corrected
         self.covariance = posterior_covariance(self.machine) if self.model == "posterior" else None
+        held_out = [recording for recording in recordings if recording.name in self.found.held_out]
+        self.drifting_encoders = encoders_drift(self.machine, held_out, PERIOD_S)
 
     @override
     def key(self) -> str | None:
@@ -293,7 +305,7 @@ class IdentifiedMachine(DesignedEntry):
         covariance = None if self.covariance is None else self.covariance.tolist()
         effects = [effect.label for effect in machine.effects]
         design = self.name.removesuffix(f"-{self.model}")
-        content = [design, machine.parameters, effects, sensors, covariance]
+        content = [design, machine.parameters, effects, sensors, covariance, self.drifting_encoders]
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
     @override
@@ -304,6 +316,7 @@ class IdentifiedMachine(DesignedEntry):
             "found": effects,
             "left": self.found.left,
             "cpu_s": self.found.cpu_s,
+            "drifting_encoders": self.drifting_encoders,
         }
 
 
@@ -375,11 +388,6 @@ class TrainedAgent(IdentifiedMachine):
     @override
     def about(self) -> dict[str, object]:
         return {**super().about(), "training_steps": self.steps}
-
-
-def _standard(declared: Machine, recorder: Recorder, folder: Path) -> Identified:
-    """Return the machines that the standard session identifies; all entries of a plant share them."""
-    return identified(lambda: standard_session(recorder), recorder.session, declared, folder / "standard")
 
 
 # Recipes of the agents of an entry, by task; where a task has none of this name, the nearest of its kind.

@@ -1,10 +1,9 @@
 """Identify a plant from its recordings, once: the machines are kept in the folder of the results.
 
-A folder of an identification holds the answer of `hframe identify` and `recordings.json` with hashes of the session
-(the plant and what was recorded), of the recordings to which it belongs, and of the code that identified them. A plant
-is recorded again if the session or the code has changed, and identified again if the recordings or the code have
-changed. Searches are complete: one that ends after a given processor time finds less on a slower processor, so that an
-entry's scores would depend on the computer.
+A folder of an identification holds the answer of `hframe identify` and `recordings.json` with a hash of the recordings
+to which it belongs and of the code that identified them. A plant is identified again if either has changed. Searches
+are complete: one that ends after a given processor time finds less on a slower processor, so that an entry's scores
+would depend on the computer.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ import hashlib
 import json
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -36,6 +35,7 @@ class Identified(NamedTuple):
         found: Labels name@site of the effects.
         left: Error left on held-out runs, in multiples of the sensors' noise; None if the simulation diverges.
         cpu_s: Processor time of the identification, s.
+        held_out: Names of the runs to which nothing was fitted.
     """
 
     refitted: Machine
@@ -44,16 +44,14 @@ class Identified(NamedTuple):
     found: tuple[str, ...]
     left: float | None
     cpu_s: float
+    held_out: tuple[str, ...]
 
 
-def identified(
-    record: Callable[[], Sequence[Recording]], session: str, declared: Machine, folder: Path
-) -> Identified:
-    """Identify a plant, or load what an earlier call has identified.
+def identified(recordings: Sequence[Recording], declared: Machine, folder: Path) -> Identified:
+    """Identify a plant, or load what an earlier call has identified from equal recordings.
 
     Args:
-        record: Records the runs of the plant; called if the folder does not belong to the session.
-        session: Hash of what will be recorded.
+        recordings: Runs of the plant.
         declared: Declared machine.
         folder: Folder of the identification; made if it does not exist.
 
@@ -62,15 +60,11 @@ def identified(
     """
     note = folder / "recordings.json"
     known = json.loads(note.read_text("utf-8")) if note.is_file() else {}
-    code = source_key()
-    if (known.get("session"), known.get("code")) != (session, code):
-        recordings = record()
-        key = _key(recordings, code)
-        if known.get("sha256") != key:
-            began = time.process_time()
-            write_result(identify(recordings, declared, budget=math.inf), folder)
-            known = {"sha256": key, "cpu_s": round(time.process_time() - began, 1)}
-        known |= {"session": session, "code": code}
+    key = _key(recordings)
+    if known.get("sha256") != key:
+        began = time.process_time()
+        write_result(identify(recordings, declared, budget=math.inf), folder)
+        known = {"sha256": key, "cpu_s": round(time.process_time() - began, 1)}
         write_text(note, json.dumps(known) + "\n")
     report = json.loads((folder / "report.json").read_text("utf-8"))
     return Identified(
@@ -80,12 +74,13 @@ def identified(
         tuple(f"{e['name']}@{e['site']}" for e in report["effects"]),
         report.get("left"),
         known["cpu_s"],
+        tuple(report["runs"]["held_out"]),
     )
 
 
-def _key(recordings: Sequence[Recording], code: str) -> str:
+def _key(recordings: Sequence[Recording]) -> str:
     """Return a hash of recordings and of the code that identifies them."""
-    digest = hashlib.sha256(code.encode())
+    digest = hashlib.sha256(source_key().encode())
     for recording in recordings:
         digest.update(recording.name.encode())
         for values in (recording.time_s, recording.inputs, recording.outputs):

@@ -7,7 +7,6 @@ measurements of encoders and lasers. The runs of a session share a clock, on whi
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable
 
 import numpy as np
@@ -49,14 +48,6 @@ class Recorder:
         self._logs: tuple[Recording, ...] | None = None
         self._count = 0
         self.left_s = CHOSEN_S
-
-    @property
-    def session(self) -> str:
-        """Hash of the plant and of the budget: the same calls on an equal one give the same recordings."""
-        content = repr(
-            (self._plant.name, self._plant.stage, self._plant.residue, self._allowed, CHOSEN_S, RATE_HZ)
-        )
-        return hashlib.sha256(content.encode()).hexdigest()
 
     def excite(self, kind: str, start: str = "elsewhere") -> Recording:
         """Record a run of 2 s of a ready-made excitation, which turns back at the end of the travel.

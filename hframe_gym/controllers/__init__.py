@@ -32,6 +32,7 @@ from .base import (
 )
 from .control_period import period_concern, shorter_period
 from .environment_controller import EnvironmentController
+from .estimation.encoder_drift import encoders_drift
 from .estimation.estimation_model import ParameterRatios
 from .estimation.parameter_estimators import ParameterFilter, ParameterWindow
 from .estimation.state_estimator import StateEstimator
@@ -78,6 +79,7 @@ __all__ = [
     "TransferDesign",
     "UnitCheck",
     "check_period",
+    "encoders_drift",
     "period_concern",
     "scaled_machine",
     "shorter_period",

@@ -30,7 +30,7 @@ from hframe_gym.controllers import Controller, StateEstimator
 from hframe_gym.envs import Reach, Track, observed_machine
 from hframe_gym.errors import InputError
 from hframe_gym.machine import Machine, Uncertainty
-from hframe_gym.recordings import Recording, save_machine
+from hframe_gym.recordings import save_machine
 from tests.reference_simulator import Array, Rig, simulate
 from tests.rigs.random_effects import draw_effect
 from tests.rigs.random_rigs import Residue
@@ -110,7 +110,6 @@ def test_a_plant_follows_from_its_seed_and_index() -> None:
     assert first.describe() == again.describe()
     assert first.stage == again.stage
     assert first.stage != other.stage
-    assert Recorder(first).session == Recorder(again).session != Recorder(other).session
 
 
 def test_recordings_are_those_of_the_plant_and_repeat() -> None:
@@ -326,7 +325,8 @@ def test_equal_models_are_scored_once(tmp_path: Path, monkeypatch: pytest.Monkey
     machine = declared_machine()
     heavier = machine.replace({"x.mass": 5.0})
     found = [
-        machines.Identified(machine, corrected, "no_effect", (), 1.0, 0.0) for corrected in (machine, heavier)
+        machines.Identified(machine, corrected, "no_effect", (), 1.0, 0.0, ())
+        for corrected in (machine, heavier)
     ]
     runs = []
 
@@ -339,16 +339,17 @@ def test_equal_models_are_scored_once(tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.setattr(protocol, "control", fake_control)
     monkeypatch.setattr(protocol, "EPISODES", {"reach": 1, "circle": 1, "square": 1})
     monkeypatch.setattr(results, "EPISODES", {"reach": 1, "circle": 1, "square": 1})
-    monkeypatch.setattr(
-        "benchmarks.gap.entries._standard", lambda declared, recorder, folder: found[len(runs) >= 6]
-    )
+    monkeypatch.setattr("benchmarks.gap.entries.standard_session", lambda recorder: ())
+    monkeypatch.setattr("benchmarks.gap.entries.identified", lambda *arguments: found[len(runs) >= 6])
+    monkeypatch.setattr("benchmarks.gap.entries.encoders_drift", lambda *arguments: len(runs) >= 9)
     rows = []
-    for name in ("pid-refitted", "pid-corrected", "predictive-refitted", "predictive-corrected"):
+    for name in ("pid-refitted", "pid-corrected", "predictive-refitted", *["predictive-corrected"] * 2):
         known = {(row["plant"], row["key"]): row for row in rows}
         rows.append(protocol.score(get_entry(name)(), IDEAL, tmp_path, known))
-    assert len(runs) == 9
+    assert len(runs) == 12
     assert rows[0]["key"] == rows[1]["key"]
-    assert len({row["key"] for row in rows}) == 3
+    assert len({row["key"] for row in rows}) == 4
+    assert [row["about"]["drifting_encoders"] for row in rows] == [False] * 4 + [True]
 
 
 def test_edited_and_impossible_results_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -445,25 +446,22 @@ def test_identification_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
         for name in ("before", "machine"):
             save_machine(declared_machine(), folder / f"{name}.json")
         report = {"verdict": "effect_found", "effects": [{"name": "cogging", "site": "motor1"}], "left": 1.5}
+        report |= {"runs": {"held_out": ["run_01_steps"]}}
         (folder / "report.json").write_text(json.dumps(report))
 
     monkeypatch.setattr(machines, "identify", fake_identify)
     monkeypatch.setattr(machines, "write_result", fake_write)
-    runs, recorded = (Recorder(IDEAL).excite("steps"),), []
 
-    def record() -> tuple[Recording, ...]:
-        recorded.append(runs)
-        return runs
+    def found(start: str) -> machines.Identified:
+        runs = (Recorder(IDEAL).excite("steps", start),)
+        return machines.identified(runs, declared_machine(), tmp_path / "standard")
 
-    def found(session: str) -> machines.Identified:
-        return machines.identified(record, session, declared_machine(), tmp_path / "standard")
-
-    first, again = found("a"), found("a")
+    first, again = found("center"), found("center")
     assert calls == [math.inf]  # a limited search finds less on a slower processor
-    assert len(recorded) == 1
-    assert first[2:] == again[2:] == ("effect_found", ("cogging@motor1",), 1.5, first.cpu_s)
-    found("b")  # recorded again, and found to be the same
-    assert (len(calls), len(recorded)) == (1, 2)
+    expected = ("effect_found", ("cogging@motor1",), 1.5, first.cpu_s, ("run_01_steps",))
+    assert first[2:] == again[2:] == expected
+    found("elsewhere")  # other recordings
+    assert len(calls) == 2
 
 
 @pytest.mark.parametrize("path", sorted(RESULTS.glob("*.json")), ids=lambda path: path.stem)

@@ -133,6 +133,21 @@ class StateEstimator:
         self._mean = np.zeros((0, len(self._initial_covariance)))
         self._covariance = np.zeros((0, *self._initial_covariance.shape))
         self._effects = np.zeros((0, 0))  # states of the effects at the mean, SI
+        # Of the last measurements: squared innovation over its covariance, this covariance, and what is valid.
+        self._predicted = np.zeros(0), np.zeros((0, 0, 0)), np.zeros((0, 0), np.bool_)
+
+    @property
+    def log_likelihood(self) -> Array:
+        """Logarithm of the density of the last valid measurements, as predicted from all before, shape (B,).
+
+        Measurements count in m of belt travel. Of estimators with the same sensors, the one under which recordings are
+        more probable describes them better.
+        """
+        squared, covariance, valid = self._predicted
+        # Invalid measurements are predicted with the variance of their noise alone.
+        invalid = np.where(valid, 0.0, np.log(self.measurements.variance)).sum(axis=1)
+        log_determinant = np.linalg.slogdet(covariance)[1] - invalid
+        return -0.5 * (squared + log_determinant + np.log(2.0 * np.pi) * valid.sum(axis=1))
 
     @property
     def parameter_ratios(self) -> Array:
@@ -209,12 +224,16 @@ class StateEstimator:
             states = self.model.goal_state(tool)
         return states
 
+    def _arrived_history(self) -> tuple[Array, Array]:
+        """Return the voltages that reached the drives during the last period: `DeadTime.arrived_history`."""
+        return self._dead_time.arrived_history()
+
     def _predict(self) -> None:
         """Propagate mean and covariance over the last period."""
         points = sigma_points(self._mean, self._covariance, self._smallest_std)
         batch, count, _ = points.shape
         flat = points.reshape(batch * count, -1)
-        times, volts = self._dead_time.arrived_history()
+        times, volts = self._arrived_history()
         motion = simulate_batch(
             self._simulated,
             times,
@@ -238,6 +257,7 @@ class StateEstimator:
         innovation = np.where(valid, linear - self._mean[:, self._measured] @ self._matrix.T, 0.0)
         _, S = self._innovation_covariance(valid)
         size = np.einsum("bi,bi->b", innovation, np.linalg.solve(S, innovation[..., None])[..., 0])
+        self._predicted = size, S, valid
         self._inflate(size / np.maximum(valid.sum(axis=1), 1))
         PH, S = self._innovation_covariance(valid)
         K = np.linalg.solve(S, PH.transpose(0, 2, 1)).transpose(0, 2, 1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
+from scipy.stats import multivariate_normal
 
 from hframe_gym.controllers import ModelBasedController, OutputFeedbackController, StateEstimator
 from hframe_gym.controllers.estimation.state_estimator import sigma_points, transformed_moments
@@ -209,6 +210,17 @@ def test_covariance_converges_to_the_riccati_solution() -> None:
     np.testing.assert_allclose(
         estimator._covariance[0, : 2 * n, : 2 * n] / scale, posterior / scale, atol=2e-3
     )
+    expected = multivariate_normal.logpdf(np.zeros(n), cov=H @ prior @ H.T + R)
+    assert estimator.log_likelihood[0] == pytest.approx(expected, abs=0.01)
+
+
+def test_a_laser_out_of_range_does_not_count_in_the_likelihood(hframe: Machine) -> None:
+    with_lasers = StateEstimator(with_rig(hframe, 0.1), PERIOD)
+    without_lasers = StateEstimator(hframe.replace(sensors=ENCODERS), PERIOD)
+    for angle in (-9.0, -9.01):
+        with_lasers.update(np.array([[0.05, -0.05, angle, 8.0]]))
+        without_lasers.update(np.array([[angle, 8.0]]))
+    np.testing.assert_allclose(with_lasers.log_likelihood, without_lasers.log_likelihood, rtol=1e-9)
 
 
 def test_masked_reset_starts_a_new_episode(hframe: Machine) -> None:
