@@ -154,7 +154,8 @@ def test_new_asks_on_a_terminal(tmp_path: Path) -> None:
     import os
 
     (tmp_path / "old.json").write_text("{}")
-    # Each wrong answer is refused and asked for again: the template, two files, the travel in millimeters, no sensors.
+    # Each wrong answer is refused and asked for again: the template, two files, the travel in millimeters, the command,
+    # a sensor, no sensors.
     answers = [
         "axes",
         "axis",
@@ -171,7 +172,7 @@ def test_new_asks_on_a_terminal(tmp_path: Path) -> None:
         "",
         "24",
     ]
-    answers += ["0", "n", "500", "n"]
+    answers += ["curent", "", "speed@y", "", "0", "n", "500", "n"]
     controller, terminal = pty.openpty()
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     command = [sys.executable, "-m", "hframe_gym", "machines", "new"]
@@ -188,6 +189,8 @@ def test_new_asks_on_a_terminal(tmp_path: Path) -> None:
         "old.json: exists already",
         "rig.txt: must end in .json",
         " 600: is it in millimeters? Give it in m",
+        "curent: choose one of voltage, duty-cycle, current, torque; did you mean 'current'?",
+        "speed@y: speed is measured at a coordinate, and 'y' is none; choose one of x",
     ):
         assert refusal in out
     assert "no sensor is left: give the lines of encoders, or keep the linear sensor" in out
@@ -236,6 +239,24 @@ def test_an_answer_that_leaves_no_sensor_is_asked_for_again(
     options = machine_questions.ask(answers, said.append).options()
     assert [s.channel for s in machine_questions.new_machine(like, "m", options).sensors] == sensors
     assert sum(line.startswith("no sensor is left") for line in said) == 1
+
+
+def test_sensors_that_are_chosen_may_be_the_only_ones(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """A motor of which the log has the current and the speed."""
+    from hframe_gym.cli import machine_questions
+
+    answered = {"Further sensors": "speed@x, current@motor", "Lines of the encoders": 0}
+
+    def prompt(text: str, default: Any, type: Any = None) -> Any:
+        return next((value for start, value in answered.items() if text.startswith(start)), default)
+
+    monkeypatch.setattr(machine_questions.typer, "prompt", prompt)
+    monkeypatch.setattr(machine_questions.typer, "confirm", lambda text, default: False)
+    answers = machine_questions.ask(machine_questions.MachineAnswers("axis", tmp_path / "m.json"), print)
+    sensors = machine_questions.new_machine("axis", "m", answers.options()).sensors
+    assert [(s.channel, s.kind) for s in sensors] == [("x_m_s", "speed"), ("motor_A", "current")]
 
 
 def test_accepted_defaults_give_the_template_to_the_last_digit(

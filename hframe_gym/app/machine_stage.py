@@ -12,11 +12,7 @@ from ..dynamics import mode_frequencies
 from ..errors import InputError
 from ..identification.report.units import readable_unit
 from ..machine import Machine, motion_limits
-from ..recordings import (
-    TEMPLATES,
-    implausible_values,
-    template_questions,
-)
+from ..recordings import TEMPLATES, TemplateQuestion, implausible_values, template_questions
 from ..web_page import number
 from .session import CONTROL, EXPORTS, FINDINGS, MACHINE, RESULT, RUNS, new_machine_command
 from .stage import Stage, State, banner, heading, table
@@ -48,7 +44,7 @@ class MachineStage(Stage):
         """Create the stage."""
         super().__init__(page)
         self._like = "hframe"
-        self._values: dict[str, str] = {}
+        self._values: dict[str, str | bool | list[str]] = {}
 
     @override
     def state(self) -> State:
@@ -77,20 +73,34 @@ class MachineStage(Stage):
             kind.props('inline aria-label="Kind of machine"')
         with ui.element("div").classes("hf-fields"):
             for question in template_questions(self._like):
-                if not isinstance(question.default, bool):  # the machine keeps its linear sensors
-                    self._field(question.option.replace("_", "-"), question.text, str(question.default))
+                self._field(question)
         self.command_box()
         with ui.expansion("Use a machine.json that you have").classes("w-full"):
             upload = ui.upload(label="Drop a machine.json here, or choose it with +", auto_upload=True)
             upload.on_upload(self._uploaded).props('accept=".json" flat')
 
-    def _field(self, option: str, question: str, default: str) -> None:
-        """Build the field of an option of `hframe machines new`."""
-        field = ui.input(question, value=self._values.get(option, ""), placeholder=default)
-        field.props(f'dense outlined stack-label data-option="{option}"').classes("w-full")
+    def _field(self, question: TemplateQuestion) -> None:
+        """Build the field of an option of `hframe machines new`; a value that is the template's is no option."""
+        option, text = question.option.replace("_", "-"), question.text
+        default: Any = [] if question.several else question.default
+        value: Any = self._values.get(option, default)
+        field: Any
+        if question.choices:
+            field = ui.select(dict(question.choices), value=value, multiple=question.several, label=text)
+            field.props("dense outlined options-dense stack-label" + " use-chips" * question.several)
+        elif isinstance(default, bool):
+            field = ui.checkbox(text, value=value)
+        else:
+            given = value if option in self._values else ""
+            field = ui.input(text, value=given, placeholder=str(default))
+            field.props("dense outlined stack-label")
+        field.props(f'data-option="{option}"').classes("w-full")
 
         def store(event: events.ValueChangeEventArguments[Any]) -> None:
-            self._values[option] = event.value or ""
+            if event.value in (None, "", default):
+                self._values.pop(option, None)
+            else:
+                self._values[option] = event.value
             self.update_command()
 
         field.on_value_change(store)

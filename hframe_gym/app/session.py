@@ -171,17 +171,21 @@ def command_text(words: Sequence[str]) -> str:
     return f"mkdir {words[1]} && mv {' '.join(map(quoted, words[2:]))} {words[1]}"
 
 
-def new_machine_command(like: str, values: Mapping[str, str]) -> list[str]:
+def new_machine_command(like: str, values: Mapping[str, str | bool | Sequence[str]]) -> list[str]:
     """Return the words of the command that writes the machine of a session from a template, in place of an older one.
 
     Args:
         values: Values by name of the option of `hframe machines new`, without dashes, or by name of a parameter such as
-            "x.mass" (`--set`); empty ones are left out.
+            "x.mass" (`--set`); empty ones are left out. An option that is repeated has a list, a switch True or False.
     """
     words = ["machines", "new", "--like", like]
     for name, value in values.items():
-        if value.strip():
-            words += ["--set", f"{name}={value}"] if "." in name else [f"--{name}", value.strip()]
+        if isinstance(value, bool):
+            words.append(f"--{name}" if value else f"--no-{name}")
+            continue
+        texts = (value,) if isinstance(value, str) else value
+        for text in filter(None, map(str.strip, texts)):
+            words += ["--set", f"{name}={text}"] if "." in name else [f"--{name}", text]
     return [*words, "--out", MACHINE, "--force"]
 
 

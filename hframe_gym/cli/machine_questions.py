@@ -25,6 +25,8 @@ from ..recordings import (
     write_machine_template,
 )
 
+_NONE = "none"  # answer to a question that permits several choices
+
 
 @dataclass(frozen=True)
 class MachineAnswers:
@@ -35,7 +37,7 @@ class MachineAnswers:
         out: File to write.
         name: Name of the machine.
         given: Values by name in `MachineOptions`; those of `travel` and `mass` are texts with one value per axis,
-            separated by commas, those of `values` texts "PARAMETER=VALUE", SI.
+            separated by commas, those of `values` texts "PARAMETER=VALUE", SI, those of `sensor` texts "KIND@PART".
     """
 
     like: str = ""
@@ -167,9 +169,15 @@ def _ask_value(
     answers: MachineAnswers, question: TemplateQuestion, log: Callable[[str], None]
 ) -> MachineAnswers:
     """Ask for the value of an option until it can be used, and return the answers with it."""
-    option, default = question.option, question.default
+    option, text = question.option, question.text
+    default = _NONE if question.several else question.default
+    if question.choices:
+        listed = ", ".join(question.choices)
+        text += f" ({listed}; several with commas)" if question.several else f" ({listed})"
     while True:
-        answer = typer.prompt(question.text, default=default, type=type(default))
+        answer = typer.prompt(text, default=default, type=type(default))
+        if question.several and answer != default:
+            answer = [part.strip() for part in answer.split(",") if part.strip()]
         # The template's value stays, to the last digit.
         answered = answers if answer == default else answers.with_answer(option, answer)
         # Whether a sensor is left shows with the last value, the encoders.

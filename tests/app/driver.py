@@ -147,6 +147,7 @@ class Visitor:
     def choose(self, selector: str, text: str) -> None:
         """Choose an entry of a menu (q-select) by the beginning of its text."""
         from selenium.webdriver.common.by import By
+        from selenium.webdriver.common.keys import Keys
 
         field = self.driver.find_element(By.CSS_SELECTOR, selector)
         self.driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", field)
@@ -159,6 +160,8 @@ class Visitor:
             text,
         )
         assert found, f"{selector} has no entry {text}"
+        if self.driver.execute_script("return !!arguments[0].closest('.q-select--multiple')", field):
+            self.press(Keys.ESCAPE)  # the menu stays open for further choices
         self.until("document.querySelectorAll('.q-menu .q-item').length === 0", 5.0)
 
     def tab_to(self, condition: str, *, back: bool = False) -> None:

@@ -50,6 +50,10 @@ def test_choices_of_an_import_become_options() -> None:
 
 def test_other_commands() -> None:
     assert new_machine_command("axis", {"travel": "0.4", "mass": ""})[3:6] == ["axis", "--travel", "0.4"]
+    chosen = {"sensor": ["speed@x", "current@motor"], "linear-sensor": False, "x.mass": "2"}
+    assert new_machine_command("axis", chosen)[4:-3] == [
+        "--sensor", "speed@x", "--sensor", "current@motor", "--no-linear-sensor", "--set", "x.mass=2"
+    ]  # fmt: skip
     assert identify_command(["run_1"], " 20 ", True)[4:] == [
         "--hold-out",
         "run_1",

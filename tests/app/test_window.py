@@ -154,6 +154,19 @@ def test_stages_are_reached_and_commands_run_by_keyboard_alone(tmp_path: Path) -
     )
 
 
+def test_a_machine_is_created_with_sensors_of_what_the_log_has(tmp_path: Path) -> None:
+    stage = "document.querySelector('main[data-stage=machine]').innerText"
+    with served(tmp_path / "session") as address, chromium() as driver:
+        visitor = Visitor(driver, address)
+        visitor.look(1280, "light")
+        visitor.click_text("main[data-stage=machine] .q-radio", "One axis")
+        visitor.until(f"{stage}.includes('--like axis')", 10.0)
+        visitor.choose("[data-option=sensor]", "current of motor, A")
+        visitor.until(f"{stage}.includes('--sensor current@motor')", 10.0)
+        visitor.run("machine", 60.0)
+    assert load_machine(tmp_path / "session" / "machine.json").output_channels == ("x_m", "motor_A")
+
+
 def test_a_dropped_machine_replaces_the_machine_and_a_faulty_one_is_explained(tmp_path: Path) -> None:
     good = tmp_path / "own.json"
     save_machine(BUILTIN_MACHINES["corexy"](), good)

@@ -27,6 +27,7 @@ from ...machine import (
     summary,
 )
 from ...operating_system import quoted
+from ...registry import load_plugins
 from .machine_json import machine_to_dict
 from .reader import MachineReader
 from .schema import MachineFile
@@ -232,11 +233,15 @@ class TemplateQuestion:
         option: Its name in `MachineOptions`.
         text: Question for its value.
         default: Value of the template, SI; for `travel` and `mass` a text with one value per axis, separated by commas.
+        choices: The answers that are accepted, and what each means; empty if the answer is a value.
+        several: Whether the answer is any number of the choices, by default none, instead of one.
     """
 
     option: str
     text: str
     default: str | float | int | bool
+    choices: Mapping[str, str] = field(default_factory=dict)
+    several: bool = False
 
 
 def template_questions(like: str) -> tuple[TemplateQuestion, ...]:
@@ -270,11 +275,17 @@ def template_questions(like: str) -> tuple[TemplateQuestion, ...]:
     if not (turning and follows):
         inertia = moved.mass / drive.gear_ratio**2 if is_pulley else 0.0
         ask("rotor_inertia", "Moment of inertia of a motor's rotor, kg m^2", inertia)
+    channels = ", ".join(machine.output_channels)
+    further = TemplateQuestion(
+        "sensor", f"Further sensors, beside {channels}", "", _further_sensors(machine), several=True
+    )
     if follows:
-        return tuple(questions)
+        return (*questions, further)
     ask("Kt", "Torque constant of the motors, Nm/A", drive.Kt)
     ask("resistance", "Resistance of a motor, ohm", drive.resistance)
     ask("rated_voltage", "Rated voltage, V", drive.rated_voltage)
+    commands = {kind: kind.replace("-", " ") for kind in _COMMANDS}
+    questions += [TemplateQuestion("drive", "Command of the motors", drive.kind, commands), further]
     quanta = [s.resolution for s in machine.sensors if s.kind == "encoder"]
     lines = round(2 * math.pi / (_QUADRATURE * quanta[0] * drive.gear_ratio)) if quanta else 0
     ask("encoder_lines", "Lines of the encoders on the motors (0: none)", lines)
@@ -390,9 +401,7 @@ def _commented(
 
 def _check(like: str, machine: Machine, options: MachineOptions) -> None:
     """Check that options are positive and fit the template."""
-    applies = {question.option for question in template_questions(like)} | {"sensor", "values"}
-    if not machine.drive_laws:
-        applies.add("drive")
+    applies = {question.option for question in template_questions(like)} | {"values"}
     for info in dataclasses.fields(options):
         if info.name not in applies and getattr(options, info.name) not in (info.default, None):
             raise InputError(
@@ -522,32 +531,45 @@ def _sensors(
     return (*encoders, *carriages)
 
 
+def _parts(machine: Machine, kind: str) -> tuple[str, tuple[str, ...]]:
+    """Return at what sensors of a kind measure, such as "drive", and the names of these components of a machine."""
+    component = SENSED_QUANTITIES[SENSOR_KINDS.get(kind).quantity()].component
+    if component == "drive":
+        return component, tuple(drive.name for drive in machine.drives)
+    if component == "belt":
+        return component, tuple(belt.name for belt in machine.belts)
+    if SENSOR_KINDS.get(kind).turn is not None:  # an angle within one turn
+        return "rotary coordinate", tuple(c.name for c in machine.coordinates if c.kind == "rotary")
+    return component, machine.coordinate_names
+
+
+def _further_sensors(machine: Machine) -> dict[str, str]:
+    """Return the sensors of all kinds that a machine may have beside its own, KIND@PART, and what each measures."""
+    load_plugins()  # may register kinds
+    present = [(sensor.kind, sensor.row) for sensor in machine.sensors]
+    choices = {}
+    for kind in SENSOR_KINDS:
+        for part in _parts(machine, kind)[1]:
+            if (kind, {part: 1.0}) not in present:
+                unit = machine.sensor_unit(Sensor("", {part: 1.0}, kind=kind))
+                choices[f"{kind}@{part}"] = f"{kind.replace('-', ' ')} of {part}, {unit}"
+    return choices
+
+
 def _further_sensor(machine: Machine, text: str) -> Sensor:
     """Return the sensor that a text KIND@PART describes; its channel is named by the part and ends in its unit."""
     kind, separator, part = text.partition("@")
     if not separator:
         raise InputError(f"--sensor {text}: write KIND@PART, for example speed@{machine.tool_axes[0]}")
     try:
-        component = SENSED_QUANTITIES[SENSOR_KINDS.get(kind).quantity()].component
+        component, parts = _parts(machine, kind)
     except InputError as error:
         raise InputError(f"--sensor {text}: {error}") from None
-    parts: dict[str, Sequence[str]] = {
-        "coordinate": machine.coordinate_names,
-        "drive": [drive.name for drive in machine.drives],
-        "belt": [belt.name for belt in machine.belts],
-    }
-    if part not in parts[component]:
-        available = (
-            f"choose one of {', '.join(parts[component])}" if parts[component] else "the machine has none"
-        )
+    if part not in parts:
+        available = f"choose one of {', '.join(parts)}" if parts else "the machine has none"
         raise InputError(
             f"--sensor {text}: {kind} is measured at a {component}, and {part!r} is none; {available}"
-            f"{suggestion(part, parts[component])}"
-        )
-    if SENSOR_KINDS.get(kind).turn is not None and machine.coordinate(part).kind != "rotary":
-        raise InputError(
-            f"--sensor {text}: {kind} measures an angle within one turn, and {part} is linear; choose the kind "
-            "encoder or laser, or a rotary coordinate"
+            f"{suggestion(part, parts)}"
         )
     ending = machine.sensor_unit(Sensor("", {part: 1.0}, kind=kind)).replace("^", "").replace("/", "_")
     channel = f"{part}_{ending}"

@@ -8,13 +8,21 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
-from hframe_gym.dynamics import mode_frequencies
+from hframe_gym.dynamics import mode_frequencies, simulate
 from hframe_gym.errors import InputError
 from hframe_gym.evaluation import evaluate
-from hframe_gym.machine import BUILTIN_MACHINES, SENSOR_KINDS, motion_limits, rigid_motions
-from hframe_gym.recordings import TEMPLATES, MachineOptions, load_machine, new_machine, write_machine_template
+from hframe_gym.machine import BUILTIN_MACHINES, SENSOR_KINDS, SensorKind, motion_limits, rigid_motions
+from hframe_gym.recordings import (
+    TEMPLATES,
+    MachineOptions,
+    load_machine,
+    new_machine,
+    template_questions,
+    write_machine_template,
+)
 
 
 @pytest.mark.parametrize("like", TEMPLATES)
@@ -225,7 +233,7 @@ def test_a_preset_reaches_its_goals_with_the_controller_for_its_drives(name: str
         (
             "axis",
             {"sensor": ("absolute-angle@x",)},
-            "absolute-angle measures an angle within one turn, and x is linear",
+            "absolute-angle is measured at a rotary coordinate, and 'x' is none; the machine has none",
         ),
         ("axis", {"sensor": ("sped@x",)}, "--sensor sped@x: sensor kind 'sped' is unknown"),
         (
@@ -242,6 +250,42 @@ def test_a_wrong_option_is_named(like: str, options: dict[str, Any], message: st
     with pytest.raises(InputError) as error:
         new_machine(like, "mine", MachineOptions(**options))
     assert message in str(error.value)
+
+
+@pytest.mark.parametrize("like", TEMPLATES)
+def test_every_sensor_to_choose_from_is_simulated(like: str, tmp_path: Path) -> None:
+    (question,) = (q for q in template_questions(like) if q.option == "sensor")
+    machine = new_machine(like, "mine", MachineOptions(sensor=tuple(question.choices)))
+    assert len(machine.sensors) == len(BUILTIN_MACHINES[like]().sensors) + len(question.choices)
+    write_machine_template(like, machine, tmp_path / "m.json")
+    time_s = np.arange(5) * 1e-3
+    moved = simulate(load_machine(tmp_path / "m.json"), time_s, np.ones((5, len(machine.drives))))
+    assert np.all(np.isfinite(moved.outputs))
+
+
+def test_the_sensors_to_choose_from_follow_from_the_registered_kinds() -> None:
+    """Without those that the template has; a kind that a program registers is one of them."""
+
+    def choices() -> dict[str, str]:
+        (question,) = (q for q in template_questions("axis") if q.option == "sensor")
+        return dict(question.choices)
+
+    @SENSOR_KINDS.register("generator")
+    class Generator(SensorKind):
+        unit = "V"
+
+        @staticmethod
+        def signal(speed: Any) -> Any:
+            return speed
+
+    try:
+        offered = choices()
+    finally:
+        SENSOR_KINDS.unregister("generator")
+    assert offered.pop("generator@x") == "generator of x, V"
+    assert offered == choices()
+    assert {"speed@x": "speed of x, m/s", "current@motor": "current of motor, A"}.items() <= offered.items()
+    assert not offered.keys() & {"laser@x", "absolute-angle@x"}
 
 
 def test_a_value_that_the_reader_refuses_is_not_written(tmp_path: Path) -> None:
