@@ -35,11 +35,9 @@ LAST_STAGE_END = (
 # Part of the budget for the plain fit, at most. It must be delivered, because no machine may be worse. With 15 % of
 # 30 s, that of a position drive had no weight, and left 24.6 instead of 9.0 times the noise on unseen runs.
 PLAIN_FIT_PART = 0.3
-# Evaluations of the declared machine on the held-out runs that take as long as what follows the last stage: of up to
-# ten machines (declared, refitted, corrected, refined, described with one or two effects, delivered, plain fits with up
-# to three terms) and the report. Effects make an evaluation longer, a delay three times; twice on average.
-_LAST_EVALUATIONS = 20
-_LARGEST_RESERVE = 0.5  # of the budget, for these evaluations; without a search, they would say little
+_LARGEST_RESERVE = (
+    0.5  # of the budget, for what follows the last stage; without a search, it would say little
+)
 # Least part of a normal session that is fitted, however small the budget: two runs of 5 s of a stage.
 _LEAST_SESSION_PART = 0.25
 # Part of the budget for each stage after the search. In complete identifications, tests and final fits took 5 to 20 %;
@@ -191,13 +189,13 @@ class Budget:
         """
         return not self.interrupted and self.spent < self._end(part)
 
-    def reserve(self, evaluation_s: float) -> None:
-        """Let all stages end earlier, if the last part of the budget is too short for the evaluations that follow.
+    def reserve(self, seconds: float) -> None:
+        """Let all stages end earlier, if the last part of the budget is too short for what follows them.
 
         Args:
-            evaluation_s: Processor time that the errors of one machine on all held-out runs take, s.
+            seconds: Processor time that follows the last stage, s; it takes the place of an earlier estimate.
         """
-        self._reserved = min(_LAST_EVALUATIONS * evaluation_s, _LARGEST_RESERVE * self.seconds)
+        self._reserved = min(seconds, _LARGEST_RESERVE * self.seconds)
 
     def _end(self, part: float) -> float:
         """Return the time, s, after which a stage ends that may take some part of the budget."""

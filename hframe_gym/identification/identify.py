@@ -16,7 +16,7 @@ from pathlib import Path
 from ..errors import InputError
 from ..machine import Machine
 from ..parallel import single_threaded_linear_algebra
-from ..preparation.dataset import Dataset, runs_that_should_move, with_known_positions
+from ..preparation.dataset import Dataset, runs_that_should_move
 from ..preparation.division import copied_runs, divide_runs, moving_runs
 from ..preparation.excerpt import is_long, representative_part
 from ..preparation.session import Session, prepare_session
@@ -24,13 +24,14 @@ from ..recordings import Recording
 from ..registry import load_plugins
 from .budget import COMPARISON_PART, DEFAULT_SECONDS, LAST_STAGE_END, Budget, BudgetEndedError
 from .evidence.tried_effects import Log
+from .fit.plain_fit import PlainFit
 from .fit.run_differences import describe_run_differences
 from .judge.criteria import SelectionCriteria
 from .report.assembly import build_result
 from .report.result import IdentificationResult
 from .search.checked_search import find_effects
 from .validate.evaluation import HeldOutTest, judged, with_certain_effects
-from .validate.simpler_machines import no_worse
+from .validate.simpler_machines import no_worse, time_after_search
 
 _SILENT = (
     "Not used: nothing moves in {0}, although {1} starts to move with no more. Its sensor was not read, its drive was "
@@ -90,8 +91,12 @@ def identify(
     machine = session.machine
     all_runs, statements = _without_silent_runs(session, held_names, log)
 
-    if any(is_long(r, machine) for r in session.recordings if r.name in held_names):
-        budget.reserve(_seconds_of_an_evaluation(session, all_runs, held_names, criteria))
+    known: list[HeldOutTest] = []
+
+    def before_search(plain: PlainFit | None, fitted: Dataset, held_out: Dataset) -> None:
+        if any(is_long(r, machine) for r in session.recordings if r.name in held_names):
+            known.append(HeldOutTest(session, held_out, criteria))
+            budget.reserve(time_after_search(known[-1], plain, fitted))
 
     # Refit, then propose effects, fit them, gather evidence and judge it, until none passes: in the fitted runs.
     found = find_effects(
@@ -102,12 +107,16 @@ def identify(
         criteria=criteria,
         log=log,
         budget=budget,
+        before_search=before_search,
     )
     found = found._replace(messages=(*copies, *session.statements, *statements, *found.messages))
 
     # Validate: effects must be certain; held-out runs judge verdict and names; nothing worse than a plain fit or the
     # file is delivered.
-    test = HeldOutTest(session, found.held_out, criteria)
+    test = next(
+        (test for test in known if test.held_out is found.held_out),
+        HeldOutTest(session, found.held_out, criteria),
+    )
     evaluated = judged(
         test.evaluate(with_certain_effects(found.outcome, criteria, log)), found.differing, log
     )
@@ -137,16 +146,6 @@ def _budget(budget: float | Budget | None, recordings: Sequence[Recording], log:
         rows = sum(len(recording.time_s) for recording in recordings)
         log(f"{len(recordings)} runs, {rows} rows: at most about {budget.seconds:.0f} s of processor time")
     return budget
-
-
-def _seconds_of_an_evaluation(
-    session: Session, all_runs: Dataset, held_names: Sequence[str], criteria: SelectionCriteria
-) -> float:
-    """Return the processor time that the errors of a machine on the held-out runs take, s."""
-    held_out, _ = with_known_positions(all_runs.with_runs(held_names))
-    began = time.process_time()
-    HeldOutTest(session, held_out, criteria).errors(session.machine, all_runs)
-    return time.process_time() - began
 
 
 def _without_copies(

@@ -83,7 +83,7 @@ def refine_encoder_zeros(data: Dataset, machine: Machine, reference: Dataset | N
         anything at rest, or if no encoder with a known zero resolves the stretch of the belts.
     """
     runs = (data if reference is None else reference).runs
-    if not machine.effects or not any(np.any(run.initial.resolves_stretch) for run in data.runs):
+    if not may_correct_zeros(data, machine):
         return data
     states = [run.initial for run in runs]
     errors = encoder_zero_errors(machine, states)
@@ -99,6 +99,11 @@ def refine_encoder_zeros(data: Dataset, machine: Machine, reference: Dataset | N
     )
     zeros = data.zeros and data.zeros._replace(values=data.zeros.values + errors)
     return dataclasses.replace(data, runs=tuple(corrected), zeros=zeros)
+
+
+def may_correct_zeros(data: Dataset, machine: Machine) -> bool:
+    """Return whether effects of a machine may show errors of the zeros that were found without them."""
+    return bool(machine.effects) and any(np.any(run.initial.resolves_stretch) for run in data.runs)
 
 
 def _with_corrected_zeros(initial: InitialState, machine: Machine, errors: Array) -> InitialState:

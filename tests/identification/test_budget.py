@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -25,8 +28,10 @@ from hframe_gym.identification.budget import (
 from hframe_gym.identification.fit.estimation import Fit
 from hframe_gym.identification.fit.plain_fit import plain_fit
 from hframe_gym.identification.search import model_search, search_effects
-from hframe_gym.machine import BUILTIN_MACHINES
-from tests.identification.single_axis import AXIS, axis_runs, limited_runs
+from hframe_gym.identification.validate import evaluation
+from hframe_gym.identification.validate.machine_errors import ModelEvaluation, evaluate_held_out
+from hframe_gym.machine import BUILTIN_MACHINES, Machine
+from tests.identification.single_axis import AXIS, axis_recordings, axis_runs, limited_runs
 
 pytestmark = pytest.mark.unit
 
@@ -273,19 +278,46 @@ def test_a_plain_fit_without_time_is_delivered_and_says_so() -> None:
     assert hurried.terms == ()
 
 
-def test_long_held_out_runs_let_the_stages_end_earlier() -> None:
-    """A tenth of the budget is left for the evaluations in any case, and half of it at most."""
+def test_what_follows_the_last_stage_lets_the_stages_end_earlier() -> None:
+    """A tenth of the budget is left for it in any case, and half of it at most; a later estimate replaces the first."""
     spent = [0.0]
     budget = Budget(100.0, clock=lambda: spent[0])
-    budget.reserve(0.4)
+    budget.reserve(8.0)
     assert budget.until(LAST_STAGE_END).seconds == pytest.approx(90.0)
-    budget.reserve(2.0)
+    budget.reserve(40.0)
     assert budget.until(LAST_STAGE_END).seconds == pytest.approx(60.0)
     assert budget.until(0.45).seconds == pytest.approx(30.0)
-    budget.reserve(50.0)
+    budget.reserve(1000.0)
     assert budget.until(LAST_STAGE_END).seconds == pytest.approx(50.0)
-    spent[0] = 51.0
+    budget.reserve(20.0)
+    assert budget.until(LAST_STAGE_END).seconds == pytest.approx(80.0)
+    spent[0] = 81.0
     assert not budget.has_time(LAST_STAGE_END)
+
+
+def test_no_machine_is_evaluated_twice_and_known_ones_before_the_search(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The held-out run is long, so that declared machine and plain fits are evaluated before the search begins."""
+    events: list[Machine | str] = []
+
+    def evaluated(machine: Machine, *args: Any) -> ModelEvaluation:
+        events.append(machine.replace(name="", uncertainty=None))
+        return evaluate_held_out(machine, *args)
+
+    monkeypatch.setattr(evaluation, "evaluate_held_out", evaluated)
+    monkeypatch.setattr(sys.modules[identify.__module__], "is_long", lambda recording, machine: True)
+    runs = axis_recordings(AXIS.replace({"x.mass": 2.0 * AXIS.coordinates[0].mass}), rows=1000, volts=6.0)
+
+    def log(line: str) -> None:
+        events.append(line)
+
+    identify(runs, AXIS, budget=0.0, log=log)
+    machines = [event for event in events if isinstance(event, Machine)]
+    assert all(machine != other for machine, other in itertools.combinations(machines, 2))
+    begun = next(k for k, event in enumerate(events) if str(event).startswith("refitted machine"))
+    assert AXIS.replace(name="") in events[:begun]
+    assert sum(isinstance(event, Machine) for event in events[:begun]) >= 2
 
 
 @pytest.mark.parametrize(("seconds", "part"), [(0.0, 1.0), (10.0, 0.25), (60.0, 0.5), (math.inf, 1.0)])

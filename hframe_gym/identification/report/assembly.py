@@ -12,9 +12,11 @@ from ..budget import Budget
 from ..evidence.held_out import error_reduction, held_out_gain, is_excited
 from ..evidence.tried_effects import ConsideredEffect, SelectedEffect
 from ..fit.channel_errors import white_sensors
+from ..fit.covariance import with_uncertainty
 from ..fit.estimation import Fit
 from ..fit.force_sizes import drive_force, effect_force
 from ..fit.missing_force import Dependence
+from ..fit.start_estimation import refine_dataset
 from ..judge.verdict import final_verdict
 from ..predict.voltage_errors import simulation_error
 from ..propose.dependences import rank_dependences
@@ -44,9 +46,10 @@ def build_result(
         budget: Budget of the identification.
     """
     evaluated = delivered.evaluated
-    outcome, selected, refined = evaluated.outcome, evaluated.selected, evaluated.refined
+    outcome, selected = evaluated.outcome, evaluated.selected
     before, after, data = outcome.before, outcome.after, outcome.data
-    corrected = evaluated.after.machine
+    refined = refine_dataset(data, after.machine)
+    corrected = evaluated.after.machine.replace(uncertainty=with_uncertainty(after, refined).uncertainty)
     experiments = (
         design_discriminating_experiment(after, corrected, s.effect.label, s.rival_effects, refined)
         for s in selected
@@ -61,7 +64,7 @@ def build_result(
         verdict=final_verdict(outcome.verdict, any_effect=bool(selected)),
         declared=evaluated.declared,
         before=evaluated.before,
-        after=evaluated.after,
+        after=dataclasses.replace(evaluated.after, machine=corrected),
         effects=selected,
         gains={s.effect.label: held_out_gain(s, corrected, validation, after.bandwidth) for s in selected},
         considered=tuple(_rejected(c, data, validation, after.bandwidth) for c in outcome.considered),

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -57,6 +57,9 @@ _PLAIN_ENDED = (
     "The plain fit ended after {:.0f} s of processor time, its part of the budget, with its best parameters so far. A "
     "larger --budget completes it."
 )
+
+
+BeforeSearch = Callable[[PlainFit | None, Dataset, Dataset], None]
 
 
 class CheckedOutcome(NamedTuple):
@@ -116,6 +119,7 @@ def find_effects(
     criteria: SelectionCriteria,
     log: Log,
     budget: Budget,
+    before_search: BeforeSearch,
 ) -> CheckedOutcome:
     """Refit a machine and find the effects (deviations from the nominal model) that it lacks.
 
@@ -131,13 +135,14 @@ def find_effects(
         criteria: Decision thresholds.
         log: Called with a line of text.
         budget: Processor time after which the search ends.
+        before_search: Called before each search with the plain fit, the fitted and the held-out runs.
     """
-    found = _search_and_check(machine, all_runs, held_names, criteria, log, budget)
+    found = _search_and_check(machine, all_runs, held_names, criteria, log, budget, before_search)
     may_repeat = budget.has_time(SECOND_SEARCH_PART)
     complete = not found.outcome.unfinished and may_repeat
     others = _runs_to_exchange(found, log) if complete and may_exchange else []
     if others:
-        exchanged = _search_and_check(machine, all_runs, others, criteria, log, budget)
+        exchanged = _search_and_check(machine, all_runs, others, criteria, log, budget, before_search)
         if exchanged.outcome.contradiction in found.differing and not exchanged.differing:
             found = exchanged  # the run that had been held out is the only one that disagrees
         else:
@@ -154,6 +159,7 @@ def _search_and_check(
     criteria: SelectionCriteria,
     log: Log,
     budget: Budget,
+    before_search: BeforeSearch,
 ) -> CheckedOutcome:
     """Search in the runs that are not held out, and find the held-out runs that contradict the result."""
     fitted_names = [run.name for run in all_runs.runs if run.name not in held_names]
@@ -203,6 +209,7 @@ def _search_and_check(
             log(
                 f"  the plain fit ended after {plain.seconds:.0f} s of processor time, its part of the budget"
             )
+        before_search(plain, fitted, validation)
         try:
             found = search(fitted, validation, complete, plain)._replace(messages=messages)
             return found if different is None else found.without_run(different)

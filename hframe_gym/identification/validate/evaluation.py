@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -16,6 +17,7 @@ from ...preparation.dataset import Dataset, PreparedRecording
 from ...preparation.excerpt import representative_part
 from ...preparation.saturation import Range, range_effects
 from ...preparation.session import Session, with_all_measurements
+from ...preparation.session_zeros import may_correct_zeros
 from ..evidence.significance import sizes
 from ..evidence.tried_effects import Log, SelectedEffect
 from ..fit.channel_errors import errors_by_channel
@@ -37,7 +39,7 @@ from ..predict.voltage_errors import simulation_error
 from ..propose.dependences import are_causes, rank_dependences
 from ..propose.trial_fits import without_effect
 from ..search.outcome import SearchOutcome, with_removed, without_names
-from .machine_errors import ModelEvaluation, PredictionErrors, evaluate_held_out
+from .machine_errors import ModelEvaluation, PredictionErrors, evaluate_held_out, with_encoder_zeros
 
 
 def with_certain_effects(outcome: SearchOutcome, criteria: SelectionCriteria, log: Log) -> SearchOutcome:
@@ -69,6 +71,22 @@ def with_certain_effects(outcome: SearchOutcome, criteria: SelectionCriteria, lo
     return outcome
 
 
+class _KnownErrors(NamedTuple):
+    """Errors of a machine that was evaluated.
+
+    Attributes:
+        moving: The machine with the zeros of its encoders, without what its motion does not depend on.
+        reference: Runs that it was fitted to, if its zeros follow from them; None otherwise.
+        errors: Its errors.
+        seconds: Processor time of the evaluation, s.
+    """
+
+    moving: Machine
+    reference: Dataset | None
+    errors: ModelEvaluation
+    seconds: float
+
+
 @dataclass(frozen=True)
 class HeldOutTest:
     """The test of every outcome of an identification: simulations over the same held-out runs.
@@ -82,10 +100,7 @@ class HeldOutTest:
     session: Session
     held_out: Dataset
     criteria: SelectionCriteria
-    # Machines with their fitted runs and errors; an evaluation takes seconds.
-    _known: list[tuple[Machine, Dataset, ModelEvaluation]] = field(
-        default_factory=list, init=False, repr=False
-    )
+    _known: list[_KnownErrors] = field(default_factory=list, init=False, repr=False)
 
     @cached_property
     def validation(self) -> Dataset:
@@ -104,14 +119,20 @@ class HeldOutTest:
             The machine with its errors, see `evaluate_held_out`.
         """
         named = machine.replace(name=name) if name else machine
-        moving = machine.replace(name="", uncertainty=None)  # what a simulation depends on
-        for known, of_fit, errors in self._known:
-            if of_fit is fitted and known == moving:
-                again = errors.machine.replace(name=named.name, uncertainty=named.uncertainty)
-                return dataclasses.replace(errors, machine=again)
+        moving = with_encoder_zeros(machine, fitted).replace(name="", uncertainty=None)
+        reference = fitted if may_correct_zeros(self.held_out, machine) else None
+        for known in self._known:
+            if known.reference is reference and known.moving == moving:
+                again = known.errors.machine.replace(name=named.name, uncertainty=named.uncertainty)
+                return dataclasses.replace(known.errors, machine=again)
+        began = time.process_time()
         errors = evaluate_held_out(named, fitted, self.validation, self.session.recordings, self.criteria)
-        self._known.append((moving, fitted, errors))
+        self._known.append(_KnownErrors(moving, reference, errors, time.process_time() - began))
         return errors
+
+    def seconds(self) -> float:
+        """Return the processor time of an evaluation, the mean over those until now, s; 0 before the first one."""
+        return float(np.mean([known.seconds for known in self._known])) if self._known else 0.0
 
     def evaluate(self, outcome: SearchOutcome) -> Evaluated:
         """Simulate the declared, the refitted and the corrected machine over the held-out runs.
@@ -119,9 +140,8 @@ class HeldOutTest:
         Args:
             outcome: Outcome of a search, without effects that must not be named.
         """
-        refined = refine_dataset(outcome.data, outcome.after.machine)
         corrected, selected = _corrected(
-            with_uncertainty(outcome.after, refined).replace(name=f"{self.session.machine.name}-identified"),
+            outcome.after.machine.replace(name=f"{self.session.machine.name}-identified"),
             outcome.selected,
             self.session.ranges,
         )
@@ -129,8 +149,7 @@ class HeldOutTest:
         declared = self.errors(self.session.machine, outcome.data)
         before = self.errors(outcome.before.machine, outcome.data, name)
         after = self.errors(corrected, outcome.data)
-        validation = refine_dataset(self.validation, after.machine, outcome.data)
-        return Evaluated(outcome, selected, declared, before, after, refined, validation, self)
+        return Evaluated(outcome, selected, declared, before, after, self)
 
 
 class Evaluated(NamedTuple):
@@ -142,8 +161,6 @@ class Evaluated(NamedTuple):
         declared: Machine as declared with its errors.
         before: Refitted machine.
         after: Machine with the effects.
-        refined: Fitted runs with the initial states that follow from this machine.
-        validation: Held-out runs with the initial states that follow from this machine.
         test: The held-out runs, on which other outcomes can be compared with this one.
         reason: Why the held-out runs contradict the verdict of the search, a clause; "" if they do not.
     """
@@ -153,10 +170,13 @@ class Evaluated(NamedTuple):
     declared: ModelEvaluation
     before: ModelEvaluation
     after: ModelEvaluation
-    refined: Dataset
-    validation: Dataset
     test: HeldOutTest
     reason: str = ""
+
+    @property
+    def validation(self) -> Dataset:
+        """Held-out runs with the initial states that follow from the machine with the effects."""
+        return refine_dataset(self.test.validation, self.after.machine, self.outcome.data)
 
 
 def judged(evaluated: Evaluated, differing: Sequence[str], log: Log) -> Evaluated:

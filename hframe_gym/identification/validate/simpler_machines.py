@@ -90,6 +90,31 @@ class Delivered(NamedTuple):
     remarks: tuple[str, ...]
 
 
+def time_after_search(test: HeldOutTest, plain: PlainFit | None, fitted: Dataset) -> float:
+    """Evaluate the machines that are known before the search, and estimate how long what follows it takes.
+
+    The refitted and the corrected machine are evaluated then. The delivered one gets the starts of the fitted runs, its
+    uncertainty and the report, which takes for each run as long as an evaluation does.
+
+    Args:
+        test: Test by which machines are compared; it remembers these evaluations.
+        plain: Plain fit to the fitted runs, if there is one.
+        fitted: Runs that are fitted.
+
+    Returns:
+        Processor time, s.
+    """
+    plain_fits = () if plain is None else (*plain.simpler, plain)
+    for machine in (test.session.machine, *(p.machine for p in plain_fits)):
+        test.errors(machine, fitted)
+    return test.seconds() * (2.0 + _runs_to_report(test, fitted))
+
+
+def _runs_to_report(test: HeldOutTest, fitted: Dataset) -> float:
+    """Return how many evaluations take as long as the starts, the uncertainty and the report of a machine."""
+    return len(fitted.runs) / len(test.held_out.runs)
+
+
 def no_worse(evaluated: Evaluated, plain: PlainFit | None, log: Log, budget: Budget) -> Delivered:
     """Compare the outcome with the plain fit and the declared machine, and deliver none that predicts worse.
 
@@ -124,6 +149,9 @@ def _compared(
     result = PlainResult(reference, plain.terms)
     log(f"plain fit: {reference.held_out.noise_ratio:.4g} times the noise on the held-out runs")
     if not test.session.machine.belts:
+        budget.reserve(
+            test.seconds() * (1.0 + _runs_to_report(test, outcome.data))
+        )  # a description, the report
         base = reference if _is_worse(evaluated.before, reference, test) else evaluated.before
         described = _described(evaluated, plain, base, log, budget)
         if described is not None:
