@@ -51,7 +51,9 @@ def refuse_expansion(path: Path, size: int) -> None:
 def refuse_long_line(path: Path, length: int) -> None:
     """Raise an InputError if a line of so many characters is too long (`MAX_LINE`) for a row of a table of numbers."""
     if length >= MAX_LINE:
-        raise InputError(f"{path}: has a line of more than {MAX_LINE - 1} characters, so it is not a table")
+        raise InputError(
+            f"{path}: has a line of more than {MAX_LINE - 1} characters; a table has a row for each time"
+        )
 
 
 def refuse_many_values(path: Path, rows: int, columns: int) -> None:

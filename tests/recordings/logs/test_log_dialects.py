@@ -282,3 +282,17 @@ def test_long_lines_above_a_table_take_no_time(line: str, tmp_path: Path) -> Non
 def test_a_speed_in_a_comment_header_without_a_unit_is_no_position(tmp_path: Path) -> None:
     log = opened(tmp_path, "# time velocity x\n" + rows(" "))
     assert [column.meaning.quantity for column in log.columns] == ["time", "speed", ""]
+
+
+@pytest.mark.parametrize("count", [19, 20, 2000])
+def test_quantities_in_rows_are_read_as_columns(count: int, tmp_path: Path) -> None:
+    """As `numpy.savetxt` writes a list of signals; a table with 19 columns and 3 rows is taken as it is."""
+    values = np.random.default_rng(1).normal(size=(3, count))
+    np.savetxt(tmp_path / "log.csv", values, delimiter=",")
+    (log,) = open_logs(tmp_path / "log.csv")
+    in_rows = count >= 20
+    assert [column.header for column in log.columns] == [
+        f"#{k}" for k in range(1, (3 if in_rows else 19) + 1)
+    ]
+    read = np.array(log.read([log.columns[0], log.columns[2]])[0])
+    assert np.allclose(read, values[[0, 2]] if in_rows else values[:, [0, 2]].T)
