@@ -38,22 +38,14 @@ def train_seeds(
 
     Worker processes train on one core each in temporary folders. The calling process writes an agent when its training
     is complete; if the calling process ends before, incomplete runs are lost. A run whose worker dies starts again.
+    Arguments that are not described are those of `train`.
 
     Args:
-        algorithm: A recipe (settings of a training run), or its name without the task: "ppo" for the recipe ppo_reach.
-        machine: Machine to train on: object, built-in name such as "hframe", or path of a machine.json.
-        task: Name of the task, as for `train`.
-        steps: Environment steps of each run. Default: the recipe's.
-        seeds: Seeds of the runs, all different.
         out: Folder for the agents: the agent of seed N in its folder seed_N, a single one in `out` itself.
         log: Function that receives one line of text when a run is complete.
         progress: Function that receives the number of complete runs and of all runs, after each run.
-        randomize: Randomization of the machine's parameters, as for `train`. Default: the recipe's.
-        jobs: Number of local worker processes.
         ray: Ray runs the workers instead: "local" starts it on this machine, "auto" is the running cluster that this
             machine belongs to, "HOST:PORT" the head node of a cluster. Default: local processes.
-        show_curves: Whether the workers print a line after each evaluation.
-        force: Replace agents or checkpoints that these folders hold. Without it, such folders are refused.
 
     Returns:
         Contents of each agent's card.json, by seed: recipe, package versions and learning curve.

@@ -10,14 +10,11 @@ HALF_KEPT_AFTER = 9.0  # updates after which the average keeps half of its value
 
 
 def update_average(average: Any, trained: Any, averaging: float, updates: int) -> None:
-    """Update an exponential moving average of weights, in place.
+    """Update the averages of the weights of a module of the same class, in place, for the n-th of `updates`.
 
     Args:
-        average: Module with the averages.
-        trained: Module with the present weights, of the same class.
         averaging: Fraction of the average that remains, 0 to below 1. At the beginning it is smaller, so that the
             average forgets the first weights.
-        updates: Number of updates, this one included.
     """
     kept = min(averaging, updates / (updates + HALF_KEPT_AFTER))
     with torch.no_grad():

@@ -21,10 +21,6 @@ class InputError(ValueError):
 def naming_extra(extra: str, need: str) -> Iterator[None]:
     """Let the imports of a `with` block, where a package is missing, name the extra that installs it.
 
-    Args:
-        extra: Name of the extra in pyproject.toml, for example "render".
-        need: What needs which package, for example "rendering needs pygame".
-
     Raises:
         ImportError: If a package is missing; the message is the need and the command that installs the extra.
     """

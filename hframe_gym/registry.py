@@ -100,8 +100,6 @@ def import_modules(package: str, path: Iterable[str], *, skip: tuple[str, ...] =
     """Import every module of a package but `skip`, so that the classes and functions in them register.
 
     Args:
-        package: Full name of the package, its `__name__`.
-        path: Folders of the package, its `__path__`.
         skip: Modules that need optional dependencies.
     """
     for module in pkgutil.iter_modules(path):

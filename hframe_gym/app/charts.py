@@ -34,7 +34,6 @@ def curves_chart(
     """Return the options of ECharts for curves, at least one, below each other, with a common axis of times.
 
     Args:
-        intervals: Intervals to mark.
         window: Times to draw, s; None: all.
     """
     first = min(float(c.time[0]) for c in curves) if window is None else window[0]

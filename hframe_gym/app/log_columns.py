@@ -117,11 +117,7 @@ class LogView:
 
 
 def view_log(path: Path, machine: Machine, options: MappingOptions) -> LogView:
-    """Read a log and say what each of its columns would be taken for.
-
-    Args:
-        path: File of the log; the first log of it is viewed.
-        options: Columns, units and factors that the user chose.
+    """Read the first log of a file and say what each of its columns would be taken for.
 
     Returns:
         Curves, converted to the unit of the channel where a column was taken for one.

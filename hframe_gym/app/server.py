@@ -82,10 +82,7 @@ def serve(folder: Path, port: int, *, open_browser: bool, log: Callable[[str], N
     """Serve the window of a session until the process is interrupted.
 
     Args:
-        folder: Folder of the session; created if it does not exist.
         port: Port; 0 for any free one.
-        open_browser: Whether to open the page in the browser.
-        log: Called with lines that tell the address.
 
     Raises:
         ImportError: If the extra `app` is not installed.

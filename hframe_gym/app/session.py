@@ -160,11 +160,7 @@ class Session:
 
 
 def command_text(words: Sequence[str]) -> str:
-    """Write a command, or that of `Session.aside_command`, as the user would type it, in one line.
-
-    Args:
-        words: Words after "hframe"; or those of `Session.aside_command`.
-    """
+    """Write a command, or that of `Session.aside_command`, as the user would type it, in one line."""
     line = " ".join(map(quoted, words))
     if words[0] != "mkdir":
         return f"hframe {line}"
@@ -249,11 +245,7 @@ def evaluate_command(
     """Return the command that compares controllers on a machine.
 
     Args:
-        controllers: Names of controllers or agents.
-        machine: Machine, relative to the folder.
-        randomize: Name of the randomization.
         period: Control period, s, as text.
-        episodes: Number of episodes.
         motions: Number of episodes whose motion is stored.
 
     Returns:
@@ -271,8 +263,6 @@ def export_command(
     """Return the command of an export.
 
     Args:
-        kind: Kind of export.
-        machine: Machine, relative to the folder; None for an export without machine.
         options: Values by name of the option; "" for a switch.
         arguments: Words without option, such as controllers.
 

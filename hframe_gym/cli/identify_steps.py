@@ -50,8 +50,6 @@ def check_recordings_before_fit(
     A fault is a finding that is certainly an error in the data, for example a stuck sensor or a wrong sign.
 
     Args:
-        recordings: Runs to fit.
-        machine: Machine as declared.
         refuse: Folder of the recordings, which the error names. None: faults are only printed.
         log: Called with a line of text for every group of similar faults, and for the number of other findings.
 

@@ -71,9 +71,6 @@ def create_machine_file(answers: MachineAnswers, force: bool, log: Callable[[str
     If template and file are given, values that are not given are those of the template. Otherwise, `ask` asks on the
     terminal for everything that is not given.
 
-    Args:
-        answers: Values of the command's options, empty or None where not given.
-
     Raises:
         InputError: If a value is wrong, the file exists and `force` is False, or template or file is missing and there
             is no terminal.
@@ -125,7 +122,6 @@ def ask(answers: MachineAnswers, log: Callable[[str], None], force: bool = False
     Enter accepts the value of the template. After an invalid answer, the question is repeated.
 
     Args:
-        answers: Values of the command's options, empty or None where not given.
         force: Whether the name of an existing file is accepted.
 
     Raises:

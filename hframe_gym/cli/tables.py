@@ -36,7 +36,6 @@ def identification_table(report: Mapping[str, Any], channels: Sequence[str]) -> 
     """Format the simulation errors of an identification on held-out recordings (those not used for fitting) as a table.
 
     Args:
-        report: Contents of report.json, the file that `hframe identify` writes.
         channels: Names of the machine's output channels (sensors).
 
     Returns:
@@ -115,9 +114,6 @@ def score_table(scores: Mapping[str, Any]) -> Table:
     """Format the scores of controllers as a table.
 
     Numbers are never truncated; a name that is too long for the terminal continues on the next line.
-
-    Args:
-        scores: Contents of scores.json, the file that `hframe evaluate` writes.
 
     Returns:
         Table (rich) with one row per controller. The first columns are the fractions of episodes, %, that end within 1,

@@ -64,9 +64,6 @@ def check_excitation(recordings: Sequence[Recording], data: Dataset, machine: Ma
     relative to the declared range, motion in both directions and at low speed, and the spectrum of the inputs relative
     to the lowest natural frequency of the belts.
 
-    Args:
-        data: The same runs, prepared for a fit by `identification.prepare`.
-
     Returns:
         Findings (severity, run, channel, message): "advice" where the excitation is insufficient, or exceeds the rated
         voltage or the declared range; "note" where it suffices. A finding about a constant input names its run; each of

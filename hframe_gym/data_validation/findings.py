@@ -129,9 +129,6 @@ def print_findings(findings: Sequence[Finding], console: Console) -> None:
 def refuse_faults(findings: Sequence[Finding], folder: Path) -> None:
     """Raise an error that lists the faults among findings, if there are any.
 
-    Args:
-        folder: Folder of the recordings, for the message.
-
     Raises:
         InputError: If a finding has the severity "fault". The message states file, channel and message of each fault,
             and that `hframe identify --force` fits nevertheless.

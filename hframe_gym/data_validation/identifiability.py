@@ -53,8 +53,10 @@ def cramer_rao_bounds(data: Dataset, machine: Machine, names: Sequence[str] = ()
     The bounds assume that all these parameters are estimated jointly, without priors, from simulations of the declared
     machine (without feedback of measurements) with white sensor noise. The first 20,000 rows of each run are used.
 
+    References:
+        Ljung, System Identification (1999), section 7.4.
+
     Args:
-        data: Runs with initial states and noise (`identification.prepare`).
         machine: Declared machine, at whose parameter values the simulation is linearized.
         names: Full names of the parameters. Default: the parameters that identification refits.
 
@@ -65,9 +67,6 @@ def cramer_rao_bounds(data: Dataset, machine: Machine, names: Sequence[str] = ()
 
     Raises:
         KeyError: If the machine has no parameter of a given name.
-
-    References:
-        Ljung, System Identification (1999), section 7.4.
     """
     names = names or [f.name for f in default_free_parameters(machine)]
     return _joint_bounds(*_relative_information(data, machine, names))
@@ -96,9 +95,6 @@ def check_parameters(data: Dataset, machine: Machine) -> list[Finding]:
     The precision is the Cramer-Rao bound: the smallest standard deviation of any unbiased estimate. Viscous friction
     and back-EMF of a motor brake its motion alike; if the runs cannot separate them, the precision of their sum is
     given.
-
-    Args:
-        data: Runs in which the machine moves, with initial states and noise.
 
     Returns:
         One finding (severity, channel, message) per parameter or sum: advice if its relative standard deviation exceeds

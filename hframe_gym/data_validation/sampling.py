@@ -182,10 +182,6 @@ def check_input_timing(data: Dataset, machine: Machine) -> list[Finding]:
     the motion, or those of the own row at least a tenth of what previous rows do not predict. Otherwise it is advice,
     because a force or a mass that the machine lacks can also make the shifted voltages fit better.
 
-    Args:
-        data: Runs in which the machine moves, without other faults.
-        machine: Declared machine.
-
     Returns:
         One finding (fault or advice) about all runs together if the second fit has less than 70 % of the chi-squared
         (sum of squared errors divided by the noise variances) of the first, otherwise an empty list. Also empty if all

@@ -44,9 +44,6 @@ def stuck_outputs(recordings: Sequence[Recording], machine: Machine) -> list[Fin
     been off; and if a sensor with a fixed zero (no incremental encoder) stays at the smallest or largest value of all
     runs, because it may have reached the end of its range. Identification leaves out measurements at such an end.
 
-    Args:
-        machine: Declared machine.
-
     Returns:
         At most one finding for each run and channel, about the longest interval in which it is stuck.
     """

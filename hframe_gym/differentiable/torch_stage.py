@@ -44,7 +44,6 @@ class DifferentiableStage(Stage[torch.Tensor]):
 
         Args:
             changes: Value of each changed parameter by name, SI: number, or tensor of shape () or (B,).
-            batch: Number B of machines.
 
         Returns:
             Parameters in the order of `parameter_names`, SI, shape (B, P).

@@ -170,7 +170,6 @@ class DifferentiableMotion:
             earlier: Voltages of the periods before the first one, V, shape (B, any number, drives), for drives with a
                 delay. Before all given voltages, the first of them act.
             start_time: Time since the machines were switched on, s, for effects that depend on it.
-            parallel: Whether to distribute the machines over threads.
 
         Returns:
             The motions over T periods, with states of shape (B, T + 1, S); T is the number of voltages.
@@ -216,10 +215,7 @@ class DifferentiableMotion:
         """Compute the derivatives of a number from its derivatives with respect to the states of motions.
 
         Args:
-            motions: Result of `simulate`.
             by_states: Derivatives by the states, per SI unit, shape (B, T + 1, S).
-            by_parameters: Whether to compute the derivatives by the parameters.
-            parallel: Whether to distribute the machines over threads.
 
         Returns:
             The derivatives by the first states, shape (B, S), voltages and parameters, shape (B, P).
@@ -275,7 +271,6 @@ class DifferentiableMotion:
         Args:
             states: States, SI, shape (B, N, S).
             parameters: Parameters, SI, shape (B, P).
-            parallel: Whether to distribute the machines over threads.
 
         Returns:
             Readings, in the sensors' units, shape (B, N, sensors).
@@ -300,7 +295,6 @@ class DifferentiableMotion:
             states: States, SI, shape (B, N, S).
             parameters: Parameters, SI, shape (B, P).
             by_readings: Derivatives by the readings, 1/m or 1/rad, shape (B, N, sensors).
-            parallel: Whether to distribute the machines over threads.
 
         Returns:
             states: Derivatives by the states, shape (B, N, S).

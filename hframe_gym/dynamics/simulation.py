@@ -57,7 +57,6 @@ def in_parallel(run: Callable[[int, int], None], blocks: int) -> None:
         run: Function (first, end) that processes the blocks first to end - 1. It is called in several threads at once
             with different ranges; to gain speed, it must release Python's global interpreter lock. Its exceptions are
             raised here.
-        blocks: Number of blocks.
     """
     count = min(threads(), blocks)
     if count <= 1:
@@ -118,7 +117,6 @@ def simulate_batch(
 
     Args:
         machine: One of the machines; it gives the equations of motion and the default parameters.
-        time_s: Sample times of all machines, s, strictly increasing, shape (N,).
         inputs: Voltages, V, held from each sample until the next, shape (N, drives) for all machines or (B, N, drives).
         parameters: Parameters in the order of `machine.parameters`, SI, shape (B, parameters), or (1, parameters) for
             all machines. Default: those of `machine`.
@@ -131,8 +129,6 @@ def simulate_batch(
         gains: Observer gains, SI, shape (2 * coordinates, sensors): at every sample gains @ (measured - reading) is
             added to the positions (first rows) and velocities (last rows). None: no correction.
         longest_step: Largest step of the integrator, s.
-        states: Whether to return positions and velocities.
-        readings: Whether to return sensor readings.
         effects: Whether to return the states of effects, with positions and velocities. A motion goes on from its end
             if they follow the positions and velocities of the next `start`.
         parallel: Whether to distribute the machines over threads; False if the caller does so.

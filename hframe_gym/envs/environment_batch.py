@@ -283,7 +283,6 @@ class EnvironmentBatch:
         """Begin new episodes in k environments whose episodes ended, and write their first observations.
 
         Args:
-            observation: Observation after the last `step`; rows `index` are overwritten.
             result: Result of the last `step`. In rows `index`, the distances to goal and path are overwritten with
                 those at the start of the new episodes. Rewards and terminations remain those of the step.
 

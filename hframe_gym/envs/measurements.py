@@ -95,12 +95,7 @@ class SensorArray:
         index: Index,
         block_ranges: Iterable[tuple[int, int]],
     ) -> None:
-        """Take the first measurements in new episodes of k environments, from which rates of change are zero.
-
-        Args:
-            readings: Ideal readings, as for `measure`.
-            block_ranges: Ranges of their blocks, as the function `block_ranges` yields them.
-        """
+        """Take the first measurements in new episodes of k environments, in `block_ranges`; rates are zero."""
         measured, unused = np.empty_like(self.measurements)
         for first, last in block_ranges:
             self._measure(readings, elapsed, first, last, measured, unused)

@@ -22,8 +22,6 @@ def reset_keywords(
     Args:
         options: Dict with the optional keys `start`, `target`, `parameters` and `state`, see `HFrameEnv.reset`; each
             has values for all environments, or a row for each. None: no options.
-        count: Number of environments that are reset.
-        others: Further keys that are accepted and left out.
 
     Raises:
         InputError: If the options are not a dict, a key or parameter is unknown, or a value has another shape, is not

@@ -55,14 +55,7 @@ def generator_state(generator: np.random.Generator | None) -> dict[str, Any] | N
 
 
 def check_state(state: Any, kind: str, batch: Any) -> None:
-    """Check that the argument of `set_state` belongs to environments of this kind, options and number.
-
-    Args:
-        kind: "single" or "vector": whether the environment is an `HFrameEnv` or an `HFrameVectorEnv`.
-
-    Raises:
-        InputError: If it is no saved state, or one of another kind, number, machine or options.
-    """
+    """Check that the argument of `set_state` belongs to environments of this kind, options and number."""
     if not isinstance(state, dict) or state.get("format") != FORMAT:
         raise InputError("set_state: the argument is no state that get_state of this version returned")
     if state["kind"] != kind:

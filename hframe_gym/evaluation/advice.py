@@ -64,8 +64,6 @@ def next_steps(
     """Return what to do after an evaluation, the most important step first.
 
     Args:
-        scores: Content of scores.json.
-        best: Name of the best controller; None if none succeeds.
         second: Name of a controller that is not significantly worse, None if there is none.
         worst: The worst episode of the best controller, in words; "" if it is not known.
         warnings: Sentences about results that cannot be trusted.

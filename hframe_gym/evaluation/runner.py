@@ -128,12 +128,6 @@ def rollout(controller: Controller, scenario: Scenario) -> Episodes:
 
     Energy and force are computed from motion and voltages by the laws of Ohm and Hooke, without effects on currents and
     tensions. `Episodes` states the shape of each array; there are 10 samples per control period, and one more.
-
-    Args:
-        controller: Controller designed for the scenario's control period. Its memory is cleared first.
-
-    Raises:
-        InputError: If the environment rejects the scenario's options, or the simulated motion diverges.
     """
     if isinstance(controller, EnvironmentController):  # the recorded environments observe keys in SI units
         controller = controller.controller
@@ -252,14 +246,7 @@ def file_labels(controllers: Iterable[str]) -> list[str]:
 
 
 def write_motions(path: str | Path, episodes: Episodes, machine: Machine, count: int) -> None:
-    """Write the motion of the first episodes of a controller as a table; the file appears complete or not at all.
-
-    Args:
-        count: Number of episodes to write, from the first one on.
-
-    Raises:
-        OSError: If the file cannot be written.
-    """
+    """Write the motion of the first episodes of a controller as a table; the file appears complete or not at all."""
     axes, unit = machine.tool_axes, machine.axis_unit.name
     names = [f"{axis}_{unit}" for axis in axes] + [f"{axis}_goal_{unit}" for axis in axes]
     names += machine.input_channels

@@ -92,8 +92,6 @@ class InverseDynamics:
         """Compute the force that each coordinate needs along its belt travel.
 
         Args:
-            values: Parameter values by full name, SI; None: those of the machine.
-            time: Time since the machine was switched on, s.
             position: Tool position, m, one value per axis.
             velocity: Tool velocity, m/s, one value per axis.
             acceleration: Tool acceleration, m/s^2, one value per axis.
@@ -119,7 +117,6 @@ class InverseDynamics:
         """Convert forces to the voltages at the motors that cause them; voltage range and amplifier are not regarded.
 
         Args:
-            values: Parameter values by full name, SI; None for those of the machine.
             forces: Forces along the belt travel, N, one per coordinate, as `coordinate_forces` returns them: the total
                 with the back-EMF.
 
@@ -172,7 +169,6 @@ class InverseDynamics:
         """Compute each drive's position, rad or m, at which the belts transmit the forces that the tool needs.
 
         Args:
-            values: Parameter values by full name, SI; None: those of the machine.
             position: Tool position, m, one value per axis.
             forces: Force that each coordinate needs, N, one value per coordinate.
         """

@@ -280,9 +280,6 @@ def locked_folder(folder: str | Path) -> Iterator[Path]:
     here is removed again if it is still empty at the end. If this process has locked the folder already, the block does
     nothing.
 
-    Args:
-        folder: Folder for the output of a command.
-
     Yields:
         The folder.
 
@@ -323,9 +320,6 @@ def complete_commit(folder: str | Path) -> None:
     `output_batch` writes the new files of a folder completely before it moves the first one to its name. If it is
     killed between two moves, the folder holds new files beside old ones. Call this function before you read files of a
     folder that belong together. While any process has locked the folder, the function does nothing.
-
-    Args:
-        folder: Folder that `output_batch` may have written.
 
     Raises:
         OSError: If there are files to move and the folder cannot be written.

@@ -46,7 +46,6 @@ def outlier_mask(recording: Recording, machine: Machine) -> Mask:
     other step, 8 times the noise and 4 times the resolution.
 
     Args:
-        recording: Run to examine, with n rows.
         machine: Machine that was recorded; declares noise and resolution. A coarser resolution in the run replaces it.
 
     Returns:

@@ -137,8 +137,6 @@ def load_recording(
     """Load and check one recording: the voltages and measurements of one run of a machine.
 
     Args:
-        path: File of the recording, .csv, .csv.gz or .parquet.
-        machine: Machine that was recorded; its channels name the columns.
         outputs_needed: Whether the file must have output columns. False also accepts voltages alone; the outputs are
             then NaN.
         progress: Called with the number of bytes read since the last call.
@@ -262,9 +260,6 @@ def write_recording(
     """Write a recording to a file, from which every number is read back exactly.
 
     Args:
-        path: File to write: .csv, .csv.gz (compressed) or .parquet.
-        recording: Run to write; NaN becomes an empty cell.
-        machine: Machine that was recorded; its channels name the columns.
         progress: Called with the number of rows written since the last call.
 
     Raises:

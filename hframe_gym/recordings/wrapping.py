@@ -161,11 +161,7 @@ def _speed_around(changes: Array, steps: Array, gaps: NDArray[np.int_]) -> Array
 
 
 def wraps_of(recording: Recording, machine: Machine) -> dict[str, Wrap]:
-    """Recognize the output channels of a recording that wrap.
-
-    Args:
-        recording: Run as logged (times, s; voltages, V; measurements, m or rad).
-    """
+    """Recognize the output channels of a recording that wrap."""
     found = {}
     for sensor, values in zip(machine.sensors, recording.outputs.T, strict=True):
         if sensor.turn is not None:

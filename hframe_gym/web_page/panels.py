@@ -72,7 +72,6 @@ def panel_svg(panel: Panel, prefix: str) -> str:
     light or dark display of the reader.
 
     Args:
-        panel: Title, description and function that draws the plot.
         prefix: Prefix of the identifiers in the element, a different one for each plot of a page: letters, digits,
             hyphens.
 
@@ -109,7 +108,6 @@ def save_panels(panels: Sequence[Panel], path: Path) -> None:
     """Draw plots into one picture file, up to three in a row, with the colors of a light display.
 
     Args:
-        panels: At least one plot (title, description, function that draws it).
         path: File to write; the suffix gives the format (.png, .svg, .pdf). If writing fails, an existing file is
             unchanged.
 

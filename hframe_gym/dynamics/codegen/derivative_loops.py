@@ -95,16 +95,10 @@ def periods_forward(
     """Simulate blocks first..last-1 over equal periods in which the voltages are held.
 
     Args:
-        functions: Addresses of the kernel's functions prepare, voltage_delays and advance.
-        sizes: Numbers of coordinates, step constants and drives.
-        delayed: Whether a drive has a delay.
         inputs: Voltages, V, shape (B, earlier + simulated periods, drives); `states` gives the number of the
             latter. Before all of them, the first voltages act.
         parameters: Machine parameters, SI, shape (B, parameters).
         h: Length of a step, s.
-        steps: Number of steps per period.
-        first: Index of the first block.
-        last: Index after the last block.
         states: Belt travel, m, its rate, m/s, time, s, and effect states at the ends of the periods, shape (B, periods
             + 1, rows); the first ones are given, the others are the output.
     """
@@ -146,20 +140,16 @@ def periods_back(
     inputs_out,
     parameters_out,
 ) -> None:
-    """Compute derivatives of a number by start, voltages and parameters from those by the states of each period's end.
+    """Compute derivatives by start, voltages and parameters from those by the states of each period's end, for blocks.
 
     Args:
         functions: Addresses of prepare, voltage_delays, advance, step_back (with or without parameters), prepare_back
             and voltage_delays_back.
-        sizes: Numbers of coordinates, step constants and drives.
         flags: Whether a drive has a delay, and whether to compute derivatives by the parameters.
         inputs: Voltages, V, shape (B, earlier + simulated periods, drives); `states` gives the number of the
             latter. Before all of them, the first voltages act.
         parameters: Machine parameters, SI, shape (B, parameters).
         h: Length of a step, s.
-        steps: Number of steps per period.
-        first: Index of the first block.
-        last: Index after the last block.
         states: Belt travel, m, its rate, m/s, time, s, and effect states, shape (B, periods + 1, rows).
         adjoint: Derivatives by these states, 1/m, s/m, ..., shape (B, periods + 1, rows); those by time are ignored.
         start_out: Output, derivatives by the first states, shape (B, rows).
@@ -239,15 +229,12 @@ def periods_back(
 def readings_back(
     read_sensors_back: int, states, parameters, adjoint, first: int, last: int, states_out, parameters_out
 ) -> None:
-    """Compute derivatives of a number by states and parameters from those by the sensor readings, without delay.
+    """Compute derivatives by states and parameters from those by the sensor readings, without delay, for blocks.
 
     Args:
-        read_sensors_back: Address of the function.
         states: Belt travel, m, and further rows, shape (B, N, rows).
         parameters: Machine parameters, SI, shape (B, parameters).
         adjoint: Derivatives by the readings, 1/m or 1/rad, shape (B, N, sensors).
-        first: Index of the first block.
-        last: Index after the last block.
         states_out: Output, derivatives by the states, shape (B, N, rows).
         parameters_out: Output, derivatives by the parameters, shape (B, parameters).
     """
@@ -275,11 +262,8 @@ def readings_forward(read_sensors: int, states, parameters, first: int, last: in
     """Compute the sensor readings of blocks first..last-1, without delay.
 
     Args:
-        read_sensors: Address of the kernel's function.
         states: Belt travel, m, and further rows, shape (B, N, rows).
         parameters: Machine parameters, SI, shape (B, parameters).
-        first: Index of the first block.
-        last: Index after the last block.
         readings: Output, in the sensors' units, shape (B, N, sensors).
     """
     block_parameters = np.zeros((parameters.shape[1], LANES))

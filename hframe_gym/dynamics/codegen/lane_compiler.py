@@ -62,7 +62,6 @@ def compile_lanes(text: str, formulas: Mapping[str, Callable[..., Any]], lanes: 
     Args:
         text: Python source of functions in the subset above; imports in it are for readers and ignored.
         formulas: Python functions that the text calls, by name; they are inlined and may call each other.
-        lanes: Number of machines per SIMD register.
 
     Returns:
         Module with one exported function, which returns nothing, per function of the text.

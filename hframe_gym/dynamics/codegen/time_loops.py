@@ -202,11 +202,7 @@ def hold_inputs(
     """Set voltages and external forces of a block until the next sample.
 
     Args:
-        block: Index of the block; its columns (lanes) are the machines from block * LANES on.
-        delayed: Whether a drive has a delay.
-        forced: Whether an external force acts on the coordinates.
         time: Sample times, s, shape (N,).
-        steps: Number of steps until the next sample.
         h: Length of a step, s.
         inputs: Voltages, V, shape (1 or B, N, drives).
         extra: External forces along the belt travel, N, shape (1 or B, N, coordinates).
@@ -331,7 +327,6 @@ def prepare_blocks(prepare: int, parameters, h: float, first: int, last: int, de
     """Compute the constants that a step needs (decay factors, reciprocals, ...) for the machines of some blocks.
 
     Args:
-        prepare: Address of the kernel's function.
         parameters: Machine parameters, SI, shape (blocks, parameters, LANES).
         h: Step of the integrator, s.
         derived: Output: derived constants, SI, shape (blocks, constants, LANES).
@@ -356,14 +351,12 @@ def advance_blocks(
     """Advance the machines of blocks first..last-1 by some steps with constant voltages, in place.
 
     Args:
-        advance: Address of the kernel's function.
         state: Belt travel (m), its rate (m/s), time (s) and effect states, shape (blocks, rows, LANES).
         parameters: Machine parameters, SI, shape (blocks, parameters, LANES).
         derived: Constants that `prepare_blocks` computes from parameters and h, shape (blocks, constants, LANES).
         inputs: Voltages, V, shape (blocks, drives, LANES); if a drive is delayed, one set per step, shape
             (blocks, steps * drives, LANES).
         h: Step of the integrator, s.
-        steps: Number of steps.
     """
     no_forces = np.zeros((coordinates, LANES))
     for block in range(first, last):
@@ -375,7 +368,6 @@ def read_blocks(read_sensors: int, state, parameters, first: int, last: int, rea
     """Compute the readings of blocks first..last-1, without delay.
 
     Args:
-        read_sensors: Address of the kernel's function.
         state: Belt travel (m), its rate (m/s), time (s) and effect states, shape (blocks, rows, LANES).
         parameters: Machine parameters, SI, shape (blocks, parameters, LANES).
         readings: Output, readings without delay, in the sensors' units, shape (blocks, sensors, LANES).
@@ -386,10 +378,9 @@ def read_blocks(read_sensors: int, state, parameters, first: int, last: int, rea
 
 @compiled
 def delay_blocks(delays: int, parameters, first: int, last: int, out) -> None:
-    """Compute the delays of drives or sensors for blocks first..last-1.
+    """Compute the delays of drives or sensors, whose function is at the address `delays`, for blocks first..last-1.
 
     Args:
-        delays: Address of the kernel's function.
         parameters: Parameters of the machines, SI, shape (blocks, parameters, LANES).
         out: Output, delays, s, shape (blocks, drives or sensors, LANES).
     """

@@ -169,7 +169,6 @@ class Equations(SignalEquations):
         """Return the current of a drive with its law and the effects on it, such as a limit or an inductance's lag.
 
         Args:
-            j: Index of the drive in the machine, from 0.
             point: Belt travel (position, or radius * angle of a pulley), m, and its rate, m/s, of every coordinate, and
                 the states of the effects.
             motor_voltages: Voltage at each motor, V: floats, arrays of one shape or symbolic expressions.

@@ -200,7 +200,6 @@ class ParameterizedMachine:
         `next_state` advances the state to the time of the point.
 
         Args:
-            k: Index of the effect in `instances`.
             **arguments: Input of the formula `next_state`: `level`, the Coulomb friction force, N or Nm, for an effect
                 that replaces dry friction; for an effect on a drive's current or its law, those that it takes of `i`,
                 the current before the effect changes it, A, the motor voltage `V`, the position `q` and the gear ratio
@@ -249,9 +248,6 @@ class ParameterizedMachine:
         """Return the state of effect k after a step of the integrator, SI.
 
         Args:
-            k: Index of the effect in `instances`.
-            state: State before the step, SI.
-            arguments: Further input, as for `effect_state`.
             traveled: Change of the belt travel of each coordinate over the step, m.
             speed: Mean rate of the belt travel of each coordinate in the step, m/s.
             dt: Length of the step, s.

@@ -34,7 +34,6 @@ def reference_step(
     v + h/2 a. The motion from p and v under the second forces and under friction is computed in closed form.
 
     Args:
-        equations: Equations of motion of the machine, with floats as parameters.
         state: Motion before the step, of floats; its effect states are those of its time (`elapsed` is None).
         voltages: Commanded voltage of each drive, V, constant over the step.
         h: Length of the step, s.

@@ -131,7 +131,6 @@ class Trace:
         """Append a statement to the generated function that calls a function with several return values.
 
         Args:
-            function: Name of the called function in the generated module.
             results: For each returned value, the name of its variable in two parts: role ("speed") and index, or None.
 
         Returns:

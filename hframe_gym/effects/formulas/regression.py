@@ -166,9 +166,6 @@ class Formula:
 def fit_formulas(curve: Curve, terms: Sequence[Term], count: int = 3) -> tuple[Formula, ...]:
     """Propose formulas for a curve: sums of terms with a small error for their number of parameters (complexity).
 
-    Args:
-        count: Largest number of formulas.
-
     Returns:
         Formulas by increasing complexity: those whose error at left-out knots (cross-validation) is clearly smaller
         than that of all simpler ones (Pareto front), and if there are fewer than `count`, other formulas that are no

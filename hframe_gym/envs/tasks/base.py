@@ -249,7 +249,6 @@ class ReferenceTrajectories:
         """Write the present and future goals of k environments to an observation.
 
         Args:
-            index: The environments, or a slice of them; other rows are not changed.
             observation: Arrays by key. Two are written: `desired_goal`, m, shape (count, axes), and, for a task with p
                 future goals, `preview`, m, shape (count, axes * p): all axes of the first future goal, then of the
                 second, ...

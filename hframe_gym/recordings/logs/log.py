@@ -160,7 +160,6 @@ def vector_log(path: Path, vectors: Sequence[tuple[str, NDArray[np.float64]]], k
 
     Args:
         vectors: Names and values, shape (rows,) each, of possibly different lengths.
-        kind: What the file is, for the user.
     """
     names = [name for name, _ in vectors]
     named = log_columns(names, [""] * len(names), ["number"] * len(names))

@@ -101,10 +101,6 @@ def map_columns(log: Log, machine: Machine, options: MappingOptions) -> list[Cha
     A column belongs to a channel if the options say so, or if it is the only one that has the name of the channel, with
     any unit or none ("X [mm]", "x_mm" or "x" for x_m). Nothing else is guessed.
 
-    Args:
-        log: Opened log with its columns.
-        options: Columns, units and factors that the user assigned to channels.
-
     Returns:
         Sources (column and conversion of units): first those of the times, then one per channel of the machine, inputs
         before outputs. `time` of each channel is the column of time of the same length (MATLAB) or, in a table, the

@@ -32,8 +32,6 @@ def split_at_rests(
     before the first rest are left out.
 
     Args:
-        recording: Recording of several motions (times, s; voltages, V; measurements, m or rad).
-        machine: Machine that was recorded.
         min_rest: Shortest rest at which the recording is cut, s.
 
     Returns:

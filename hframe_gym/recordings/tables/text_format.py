@@ -91,10 +91,7 @@ class TextFormat:
 
 
 def detect_format(path: Path) -> TextFormat:
-    """Detect the format of a text file from its beginning: encoding, separator, decimal mark, header, columns.
-
-    Args:
-        path: Text file, possibly compressed by gzip.
+    """Detect the format of a text file, possibly compressed by gzip, from its beginning.
 
     Raises:
         InputError: If the file cannot be read, is empty or is not text, its first line is too long, or commas are both
@@ -179,9 +176,6 @@ def _are_empty_from(index: int, rows: Sequence[Sequence[str]]) -> bool:
 @contextmanager
 def open_text(path: Path, encoding: str) -> Iterator[tuple[TextIO, BinaryIO]]:
     """Open a text file, possibly compressed by gzip; errors while it is read are raised as InputError.
-
-    Args:
-        encoding: Encoding of the text.
 
     Yields:
         Two streams: the text, with line feeds as line ends, and the underlying file, whose position shows how many

@@ -44,12 +44,7 @@ _TIME_ZONE = re.compile(r"(?:Z|[+-]\d\d:?\d\d)$")
 
 
 def cumulative(progress: Callable[[int, int], None] | None, total: int) -> Progress:
-    """Return a function that adds up increments of some work and reports the sum to `progress`, if there is one.
-
-    Args:
-        progress: Called with the sum so far and the total, after each increment. None: nothing is reported.
-        total: Sum at the end of the work.
-    """
+    """Return a function that adds up increments of some work and reports sum and total to `progress`, if any."""
     done = 0
 
     def add(increment: int) -> None:
@@ -73,9 +68,6 @@ def read_columns(
     """Read columns of numbers and time stamps from a text file.
 
     Args:
-        path: Text file, possibly compressed by gzip.
-        layout: Format of its table: encoding, separator, columns, ... (`detect_format` finds it).
-        columns: Indices of the columns to read, from 0.
         lenient: Whether to leave out comment lines, rows without any value, and the last row if it is incomplete.
             Otherwise, a comment or an incomplete row is an error, and a row without values is read as NaN.
         progress: Called with the number of bytes read since the last call.
