@@ -90,10 +90,4 @@ def effect_sites(effect: Effect, machine: Machine) -> tuple[str, ...]:
     return sites if fits_site is None else tuple(site for site in sites if fits_site(machine, site))
 
 
-__all__ = [
-    "EFFECTS",
-    "effect_sites",
-    "get_effect",
-    "register_effect",
-    "unregister_effect",
-]
+__all__ = ["EFFECTS", "effect_sites", "get_effect", "register_effect", "unregister_effect"]

@@ -312,15 +312,7 @@ def _write_measurements(
 
 @compiled
 def _observe(
-    program: int,
-    size: int,
-    state: Any,
-    units: Any,
-    bounds: Any,
-    first: int,
-    last: int,
-    out: Any,
-    tool: Any,
+    program: int, size: int, state: Any, units: Any, bounds: Any, first: int, last: int, out: Any, tool: Any
 ) -> int:
     """Write a view of the state with n = size entries to out (B, n or more), the first also to tool (B, axes).
 

@@ -165,9 +165,7 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
         self._actions = actions
 
     @override
-    def step_wait(
-        self,
-    ) -> tuple[Any, NDArray[np.float64], NDArray[np.bool_], list[dict[str, Any]]]:
+    def step_wait(self) -> tuple[Any, NDArray[np.float64], NDArray[np.bool_], list[dict[str, Any]]]:
         """Advance by one control period with the actions that `step_async` has received.
 
         Where an episode ended, the observation is the first one of the next episode, and `infos` also has `is_success`

@@ -10,13 +10,7 @@ from ..machine import AXIS_UNITS, AxisUnit
 from ..web_page import Panel, number, write_page
 from .advice import assumptions, next_steps, worst_move
 from .metrics import mean_with_interval, ranked_episodes, settling_times
-from .plots import (
-    distance_panel,
-    distribution_panel,
-    episode_panels,
-    interval_panel,
-    success_panel,
-)
+from .plots import distance_panel, distribution_panel, episode_panels, interval_panel, success_panel
 from .reported_scores import (
     PATH_ERRORS,
     ratio_to_bounds,

@@ -20,9 +20,7 @@ TOLERANCE = 1e-9  # relative; the same operations in another order differ by som
 # Errors are relative to the expected value, but at least to this fraction of the largest one: a small voltage may be
 # the difference of two large ones.
 SMALLEST_SCALE = 1e-3
-_HELPERS = {
-    "sign": "static double {p}_sign(double x)\n{{\n    return (double)((x > 0.0) - (x < 0.0));\n}}\n",
-}
+_HELPERS = {"sign": "static double {p}_sign(double x)\n{{\n    return (double)((x > 0.0) - (x < 0.0));\n}}\n"}
 
 
 @EXPORTERS.register("c")

@@ -104,11 +104,7 @@ def friction_parts(
     all_dry, all_viscous, all_forces = _against(machine, i, speed, leader, position, time_s)
     effects = all_dry + all_viscous + all_forces - (dry + viscous + forces)
     # Forces of frictional effects: dry friction that replaces Coulomb's law.
-    return (
-        dry + forces,
-        viscous,
-        effects,
-    )
+    return (dry + forces, viscous, effects)
 
 
 def _against(

@@ -24,10 +24,7 @@ from .base import axis_range, refuse_drive_laws, require_linear_axes
 # MuJoCo's friction is a soft constraint: it brings a velocity to zero within the time constant of `solreffriction` (20
 # ms by default) and creeps according to the impedance of `solimpfriction`. `default` uses these defaults. `stiff` is as
 # close to dry friction as MuJoCo allows: the smallest permitted time constant, two steps, and an impedance near one.
-FRICTION = {
-    "default": "",
-    "stiff": 'solreffriction="{twice} 1" solimpfriction="0.9999 0.9999 0.001 0.5 2"',
-}
+FRICTION = {"default": "", "stiff": 'solreffriction="{twice} 1" solimpfriction="0.9999 0.9999 0.001 0.5 2"'}
 _PULLEY_MASS = 0.1  # kg; only the inertia of a pulley acts, because it does not travel
 # Fraction of the heavier axis' mass that a carriage on it may weigh; the rest of its mass is armature.
 _LARGEST_FRACTION = 0.5

@@ -114,10 +114,7 @@ class _Stage:
             return
         new, removed = _files(self.new), _files(self.removed)
         # a folder from elsewhere could have a stage that changes files of this user
-        for name in (
-            *new,
-            *removed,
-        ):
+        for name in (*new, *removed):
             if not (folder / name).parent.resolve().is_relative_to(folder):
                 raise InputError(f"{folder}: {name.parent} is a link out of this folder; delete {self.path}")
         for name in removed:

@@ -16,16 +16,7 @@ from typing_extensions import override
 from ..errors import InputError
 from ..registry import Registry
 from .axis_unit import ARM
-from .declaration import (
-    FIXED_UNITS,
-    LARGEST,
-    UNITS,
-    Component,
-    CoordinateKind,
-    Number,
-    Plain,
-    Variant,
-)
+from .declaration import FIXED_UNITS, LARGEST, UNITS, Component, CoordinateKind, Number, Plain, Variant
 from .drive_kinds import DRIVE_KINDS, DriveLaw
 from .sensed_quantities import SENSED_QUANTITIES, SensedQuantity, SensorQuantity
 from .sensor_kinds import SENSOR_KINDS

@@ -102,10 +102,7 @@ QUANTITIES: dict[str, Quantity] = {
     ),
     "position": Quantity("a", {}, ("position", "pos", "encoder", "laser"), "position"),
     "linear speed": Quantity(
-        "a",
-        {"m/s": (1, 1), "mm/s": (1, 1e3), "cm/s": (1, 1e2), "mm/min": (1, 6e4)},
-        (),
-        "speed",
+        "a", {"m/s": (1, 1), "mm/s": (1, 1e3), "cm/s": (1, 1e2), "mm/min": (1, 6e4)}, (), "speed"
     ),
     "angular speed": Quantity(
         "an",

@@ -6,14 +6,7 @@ A file format is one class in `formats`, which registers itself in `LOG_FORMATS`
 from .formats import LOG_FORMATS, LogFormat
 from .log import Log, LogColumn, log_columns
 from .log_files import find_logs, log_name, open_logs, run_of
-from .log_import import (
-    ImportSettings,
-    Interval,
-    import_logs,
-    parse_factor,
-    parse_interval,
-    read_mapping_file,
-)
+from .log_import import ImportSettings, Interval, import_logs, parse_factor, parse_interval, read_mapping_file
 from .log_mapping import (
     NOT_MEASURED,
     ChannelSource,

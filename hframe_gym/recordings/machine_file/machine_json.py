@@ -15,15 +15,7 @@ from ...errors import InputError, suggestion
 from ...files import read_document, write_text
 from ...machine import BUILTIN_MACHINES, Component, Machine, Number, Plain
 from .reader import MachineReader
-from .schema import (
-    COMPONENTS,
-    SCHEMA_VERSION,
-    MachineFile,
-    QuantityEntry,
-    Table,
-    field_units,
-    fields,
-)
+from .schema import COMPONENTS, SCHEMA_VERSION, MachineFile, QuantityEntry, Table, field_units, fields
 
 
 def load_machine(source: str | Path | Machine) -> Machine:
