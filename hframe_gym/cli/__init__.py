@@ -15,6 +15,7 @@ from collections.abc import Callable
 from typing import Annotated
 
 import typer
+from typer import Option
 
 from ..version import __version__
 from . import app_commands, control_commands, export_commands, machine_commands, recording_commands
@@ -43,8 +44,7 @@ def _print_version(requested: bool) -> None:
 @app.callback()
 def options(
     version: Annotated[
-        bool,
-        typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit."),
+        bool, Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
     ] = False,
 ) -> None:
     """H-frame stages: simulate, identify from measured data, train and evaluate controllers."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 from .application import app
 from .output import log
@@ -14,15 +14,10 @@ from .output import log
 @app.command("app")
 def run_app(
     session: Annotated[
-        Path,
-        typer.Argument(help="Folder of the session, with its machine, logs and results; created if missing."),
+        Path, Argument(help="Folder of the session, with its machine, logs and results; created if missing.")
     ] = Path("session"),
-    port: Annotated[
-        int, typer.Option(min=0, max=65535, help="Port on the loopback address; 0: any free one.")
-    ] = 0,
-    no_open: Annotated[
-        bool, typer.Option("--no-open", help="Print the address, and open no browser.")
-    ] = False,
+    port: Annotated[int, Option(min=0, max=65535, help="Port on the loopback address; 0: any free one.")] = 0,
+    no_open: Annotated[bool, Option("--no-open", help="Print the address, and open no browser.")] = False,
 ) -> None:
     """Open a local page for all steps: machine, logs, check, identify, results, control, export.
 

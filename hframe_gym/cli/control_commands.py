@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer import Argument, Option
 
 from ..errors import InputError
 from ..files import locked_folder, output_batch
@@ -22,6 +23,7 @@ from .options import (
     EpisodesOption,
     MachineOption,
     OutOption,
+    PathOption,
     PeriodOption,
     RandomizeOption,
     RayOption,
@@ -39,16 +41,16 @@ if TYPE_CHECKING:
 
 @app.command(cls=CommandWithChoices)
 def train(
-    algorithm: Annotated[str, typer.Argument(help="Recipe: {algorithms}.")],
+    algorithm: Annotated[str, Argument(help="Recipe: {algorithms}.")],
     out: OutOption,
     machine: MachineOption = "hframe",
     task: TaskOption = "reach",
     randomize: Annotated[
-        str | None, typer.Option(help="Randomization: {randomizations} (default: the recipe's).")
+        str | None, Option(help="Randomization: {randomizations} (default: the recipe's).")
     ] = None,
     steps: Annotated[
         int | None,
-        typer.Option(
+        Option(
             min=1,
             max=10**12,
             help="Environment steps in total; the last rollout is completed (default: the recipe's).",
@@ -56,25 +58,18 @@ def train(
     ] = None,
     seed: Annotated[
         list[int] | None,
-        typer.Option(
+        Option(
             min=0,
             max=MAX_SEED,
             help="Seed of network, episodes and algorithm (default: 0); repeat for more agents.",
         ),
     ] = None,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Continue from the checkpoint in the folder.")
-    ] = False,
+    resume: Annotated[bool, Option("--resume", help="Continue from the checkpoint in the folder.")] = False,
     trust: Annotated[
-        bool,
-        typer.Option(
-            "--trust", help="Resume from a checkpoint of another installation; it can execute code."
-        ),
+        bool, Option("--trust", help="Resume from a checkpoint of another installation; it can execute code.")
     ] = False,
-    force: Annotated[
-        bool, typer.Option("--force", help="Replace the agent and checkpoint in the folder.")
-    ] = False,
-    jobs: Annotated[int, typer.Option(min=1, max=1024, help="Number of seeds to train at a time.")] = 1,
+    force: Annotated[bool, Option("--force", help="Replace the agent and checkpoint in the folder.")] = False,
+    jobs: Annotated[int, Option(min=1, max=1024, help="Number of seeds to train at a time.")] = 1,
     ray: RayOption = None,
 ) -> None:
     """Train an agent by a recipe: the settings of an algorithm for a task.
@@ -136,29 +131,21 @@ def evaluate(
     out: OutOption,
     machine: MachineOption = "hframe",
     task: TaskOption = "reach",
-    path: Annotated[
-        str | None,
-        typer.Option(
-            help="Path to follow, for the task track: circle, square, lissajous or a CSV of x_m,y_m."
-        ),
-    ] = None,
+    path: PathOption = None,
     randomize: RandomizeOption = "default",
     sensors: SensorsOption = "state",
     period: PeriodOption = CONTROL_PERIOD,
     episodes: EpisodesOption = 512,
-    seed: Annotated[int, typer.Option(min=0, max=MAX_SEED, help="Seed of starts, goals and parameters.")] = 0,
+    seed: Annotated[int, Option(min=0, max=MAX_SEED, help="Seed of starts, goals and parameters.")] = 0,
     html: Annotated[
-        bool, typer.Option("--html", help="Also write scorecard.html, one self-contained page.")
+        bool, Option("--html", help="Also write scorecard.html, one self-contained page.")
     ] = False,
     motions: Annotated[
-        int,
-        typer.Option(
-            min=0, max=1000, help="Also write the motion in the first N episodes to CONTROLLER.csv."
-        ),
+        int, Option(min=0, max=1000, help="Also write the motion in the first N episodes to CONTROLLER.csv.")
     ] = 0,
     protocol: Annotated[
         str | None,
-        typer.Option(
+        Option(
             help="Fixed benchmark for the leaderboard: {protocols}; it sets all options but --out and --ray."
         ),
     ] = None,
@@ -289,32 +276,27 @@ def _protocol_result(protocol_name: str, controller: str) -> dict[str, Any]:
 @app.command(cls=CommandWithChoices)
 def play(
     controller: Annotated[
-        str | None, typer.Argument(help="What drives the stage: {controllers}, {agents}, ... (default: you).")
+        str | None, Argument(help="What drives the stage: {controllers}, {agents}, ... (default: you).")
     ] = None,
     beside: Annotated[
         str | None,
-        typer.Option(help="Controller of a second stage: {controllers}, {agents}, the folder of an agent."),
+        Option(help="Controller of a second stage: {controllers}, {agents}, the folder of an agent."),
     ] = None,
     machine: MachineOption = "hframe",
     task: TaskOption = "reach",
-    path: Annotated[
-        str | None,
-        typer.Option(help="Path to follow, for the task track: circle, square, lissajous or a CSV file."),
-    ] = None,
+    path: PathOption = None,
     randomize: RandomizeOption = "none",
     sensors: SensorsOption = "state",
     period: PeriodOption = CONTROL_PERIOD,
     speed: Annotated[
         float,
-        typer.Option(
-            min=0.001, max=100.0, help="Speed relative to real time; a hand is slower than a motor."
-        ),
+        Option(min=0.001, max=100.0, help="Speed relative to real time; a hand is slower than a motor."),
     ] = 0.3,
-    seed: Annotated[int, typer.Option(min=0, max=MAX_SEED, help="Seed of the first start and goal.")] = 0,
+    seed: Annotated[int, Option(min=0, max=MAX_SEED, help="Seed of the first start and goal.")] = 0,
     frames: Annotated[
-        int | None, typer.Option(min=1, help="Stop after this number of frames (50 per second).")
+        int | None, Option(min=1, help="Stop after this number of frames (50 per second).")
     ] = None,
-    picture: Annotated[Path | None, typer.Option(help="PNG file for the last frame.")] = None,
+    picture: Annotated[Path | None, Option(help="PNG file for the last frame.")] = None,
 ) -> None:
     """Drive a simulated stage by mouse or keys; with --beside, a controller has the same task on a second stage.
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from typer import Argument, Option
 from typing_extensions import override
 
 from ..errors import InputError, suggestion
@@ -84,7 +85,7 @@ def _command(kind: str) -> Any:
         exporter(**options).write(out, log)
 
     out = Annotated[
-        Path, typer.Option(help="Folder of the files, created if it does not exist, or one of the files.")
+        Path, Option(help="Folder of the files, created if it does not exist, or one of the files.")
     ]
     types = typing.get_type_hints(exporter)
     parameters = [_parameter(f, types[f.name]) for f in dataclasses.fields(exporter)]
@@ -108,11 +109,11 @@ def _parameter(field: dataclasses.Field[Any], hint: Any) -> inspect.Parameter:
     text, default = about[HELP], field.default
     least, most = about[RANGE] or (None, None)
     if about[ARGUMENT]:
-        declared, default = typer.Argument(help=text), inspect.Parameter.empty
+        declared, default = Argument(help=text), inspect.Parameter.empty
     elif hint is bool:
-        declared = typer.Option(f"--{field.name}", help=text)  # without --no-NAME
+        declared = Option(f"--{field.name}", help=text)  # without --no-NAME
     else:
-        declared = typer.Option(help=text, min=least, max=most)
+        declared = Option(help=text, min=least, max=most)
     kind = about[CLI_TYPE] or hint
     return inspect.Parameter(
         field.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, declared]

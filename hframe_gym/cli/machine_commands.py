@@ -7,12 +7,12 @@ import sys
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 from ..errors import InputError
 from ..registry import PLUGIN_VARIABLE
 from .application import Application, CommandGroup, CommandWithChoices, app
-from .options import MachineOption
+from .options import MachineArgument, MachineOption
 from .output import console, log
 
 _EFFECTS_HELP = """List the effects that identification can add to a machine's model (the default), or write a new one.
@@ -31,12 +31,12 @@ PLOT_SUFFIXES = (".png", ".svg", ".pdf")
 
 @app.command()
 def simulate(
-    inputs: Annotated[Path, typer.Option(help="A recording; the columns time_s and the voltages suffice.")],
-    out: Annotated[Path, typer.Option(help="File for the simulated recording (.csv or .csv.gz).")],
+    inputs: Annotated[Path, Option(help="A recording; the columns time_s and the voltages suffice.")],
+    out: Annotated[Path, Option(help="File for the simulated recording (.csv or .csv.gz).")],
     machine: MachineOption = "hframe",
     updates: Annotated[
         int,
-        typer.Option(
+        Option(
             min=1,
             help="How often the controller changed the voltages from one row to the next; "
             "more than once, they are interpolated.",
@@ -79,12 +79,8 @@ def list_machines() -> None:
 
 @machines_app.command("show")
 def show_machine(
-    machine: Annotated[
-        str, typer.Argument(help="A machine.json or a built-in name (see `hframe machines`).")
-    ],
-    plot: Annotated[
-        Path | None, typer.Option(help="Draw the machine into this file (.png, .svg or .pdf).")
-    ] = None,
+    machine: MachineArgument,
+    plot: Annotated[Path | None, Option(help="Draw the machine into this file (.png, .svg or .pdf).")] = None,
 ) -> None:
     """Print a machine as tables with units; with --plot, also draw it.
 
@@ -125,44 +121,37 @@ def print_schema() -> None:
 def new_machine_file(
     like: Annotated[
         str,
-        typer.Option(
-            help="Template: hframe, corexy, printer, axis, belt-axis, motor, pendulum, wheel or servo."
-        ),
+        Option(help="Template: hframe, corexy, printer, axis, belt-axis, motor, pendulum, wheel or servo."),
     ] = "",
-    out: Annotated[Path | None, typer.Option(help="File to write.")] = None,
-    name: Annotated[str, typer.Option(help="Name of the machine (default: name of the file).")] = "",
-    travel: Annotated[str, typer.Option(help="Travel along x and y, m, for example 0.3,0.2.")] = "",
+    out: Annotated[Path | None, Option(help="File to write.")] = None,
+    name: Annotated[str, Option(help="Name of the machine (default: name of the file).")] = "",
+    travel: Annotated[str, Option(help="Travel along x and y, m, for example 0.3,0.2.")] = "",
     mass: Annotated[
-        str,
-        typer.Option(help="Moving mass along x and y without rotors, kg, e.g. 0.4,1.2, or inertia, kg m^2."),
+        str, Option(help="Moving mass along x and y without rotors, kg, e.g. 0.4,1.2, or inertia, kg m^2.")
     ] = "",
-    pulley_radius: Annotated[
-        float | None, typer.Option(help="Pitch radius of the motors' pulleys, m.")
-    ] = None,
+    pulley_radius: Annotated[float | None, Option(help="Pitch radius of the motors' pulleys, m.")] = None,
     gear_ratio: Annotated[
-        float | None, typer.Option(help="Turns of the motor per turn of the pulley or axis.")
+        float | None, Option(help="Turns of the motor per turn of the pulley or axis.")
     ] = None,
-    rotor_inertia: Annotated[float | None, typer.Option(help="Inertia of a motor's rotor, kg m^2.")] = None,
+    rotor_inertia: Annotated[float | None, Option(help="Inertia of a motor's rotor, kg m^2.")] = None,
     torque_constant: Annotated[
-        float | None, typer.Option("--Kt", help="Torque constant, Nm/A; Ke becomes the same, in Vs/rad.")
+        float | None, Option("--Kt", help="Torque constant, Nm/A; Ke becomes the same, in Vs/rad.")
     ] = None,
-    resistance: Annotated[float | None, typer.Option(help="Resistance of a motor, ohm.")] = None,
-    rated_voltage: Annotated[float | None, typer.Option(help="Rated voltage, V.")] = None,
-    encoder_lines: Annotated[int | None, typer.Option(help="Lines of the motors' encoders; 0: none.")] = None,
-    linear_sensor: Annotated[bool | None, typer.Option(help="Whether sensors measure x and y.")] = None,
-    drive: Annotated[
-        str, typer.Option(help="What is commanded: voltage, duty-cycle, current or torque.")
-    ] = "",
+    resistance: Annotated[float | None, Option(help="Resistance of a motor, ohm.")] = None,
+    rated_voltage: Annotated[float | None, Option(help="Rated voltage, V.")] = None,
+    encoder_lines: Annotated[int | None, Option(help="Lines of the motors' encoders; 0: none.")] = None,
+    linear_sensor: Annotated[bool | None, Option(help="Whether sensors measure x and y.")] = None,
+    drive: Annotated[str, Option(help="What is commanded: voltage, duty-cycle, current or torque.")] = "",
     sensor: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             help="Further sensor, KIND@PART, e.g. speed@x or current@motor1 (repeat for more): {sensor_kinds}."
         ),
     ] = None,
     values: Annotated[
-        list[str] | None, typer.Option("--set", help="PARAMETER=VALUE in SI, e.g. x.coulomb=2.")
+        list[str] | None, Option("--set", help="PARAMETER=VALUE in SI, e.g. x.coulomb=2.")
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
+    force: Annotated[bool, Option("--force", help="Replace an existing file.")] = False,
 ) -> None:
     """Write a commented machine.json from a template; without --like or --out, ask for the values.
 
@@ -209,13 +198,11 @@ def list_effects() -> None:
 
 @effects_app.command("new")
 def new_effect(
-    name: Annotated[str, typer.Argument(help="Name of the effect: lower-case letters, digits, underscores.")],
-    folder: Annotated[
-        Path, typer.Option("--from", help="A folder that `hframe identify` wrote, with a table.")
-    ],
-    out: Annotated[Path | None, typer.Option(help="Python file to write (default: NAME.py).")] = None,
-    formula: Annotated[int, typer.Option(min=0, help="Number of the formula (0: the recommended one).")] = 0,
-    table: Annotated[str, typer.Option(help="Label of the table (default: the first one).")] = "",
+    name: Annotated[str, Argument(help="Name of the effect: lower-case letters, digits, underscores.")],
+    folder: Annotated[Path, Option("--from", help="A folder that `hframe identify` wrote, with a table.")],
+    out: Annotated[Path | None, Option(help="Python file to write (default: NAME.py).")] = None,
+    formula: Annotated[int, Option(min=0, help="Number of the formula (0: the recommended one).")] = 0,
+    table: Annotated[str, Option(help="Label of the table (default: the first one).")] = "",
 ) -> None:
     """Write a new effect, a Python file, from a formula that `hframe identify` proposes for an unknown force.
 
@@ -242,11 +229,7 @@ def new_effect(
 
 
 @app.command()
-def kernel(
-    machine: Annotated[
-        str, typer.Argument(help="A machine.json or a built-in name (see `hframe machines`).")
-    ],
-) -> None:
+def kernel(machine: MachineArgument) -> None:
     """Print the source of the integrator that is generated for a machine: its compiled form runs all simulations.
 
     Example:  hframe kernel hframe

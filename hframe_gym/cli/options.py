@@ -6,19 +6,19 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 from ..errors import InputError
 
 MAX_SEED = 2**31 - 1
 
-MachineOption = Annotated[
-    str, typer.Option(help="A machine.json or a built-in name (see `hframe machines`).")
-]
-OutOption = Annotated[Path, typer.Option(help="Folder for the results; created if it does not exist.")]
+_MACHINE = "A machine.json or a built-in name (see `hframe machines`)."
+MachineOption = Annotated[str, Option(help=_MACHINE)]
+MachineArgument = Annotated[str, Argument(help=_MACHINE)]
+OutOption = Annotated[Path, Option(help="Folder for the results; created if it does not exist.")]
 MaxRowsOption = Annotated[
     int,
-    typer.Option(
+    Option(
         "--max-rows",
         min=1000,
         help="Largest number of rows of all runs together. Of each of N runs, the first max-rows / N rows are used, "
@@ -26,29 +26,30 @@ MaxRowsOption = Annotated[
     ),
 ]
 TaskOption = Annotated[
-    str, typer.Option(help="Task: {tasks}, or module:name, also of my_module.py in this folder.")
+    str, Option(help="Task: {tasks}, or module:name, also of my_module.py in this folder.")
 ]
-RandomizeOption = Annotated[
-    str, typer.Option(help="Randomization of each episode's machine: {randomizations}.")
+PathOption = Annotated[
+    str | None,
+    Option(help="Path to follow, for the task track: circle, square, lissajous or a CSV of x_m,y_m."),
 ]
-EpisodesOption = Annotated[int, typer.Option(min=1, max=10**6, help="Number of episodes of each controller.")]
+RandomizeOption = Annotated[str, Option(help="Randomization of each episode's machine: {randomizations}.")]
+EpisodesOption = Annotated[int, Option(min=1, max=10**6, help="Number of episodes of each controller.")]
 ControllersArgument = Annotated[
     list[str],
-    typer.Argument(
+    Argument(
         help="Controllers: {controllers}, a shipped agent ({agents}), the folder of a trained agent, "
         "a model of stable-baselines3 (NAME.zip), or module:name."
     ),
 ]
 SensorsOption = Annotated[
-    str,
-    typer.Option(help="What controllers observe: {sensors}; state is exact, the others are measurements."),
+    str, Option(help="What controllers observe: {sensors}; state is exact, the others are measurements.")
 ]
 CONTROL_PERIOD = 0.01  # s, as in EnvConfig, which is not imported because it would delay every command
-PeriodOption = Annotated[float, typer.Option(help="Control period in seconds, 1e-5 to 10.")]
-RecordingsArgument = Annotated[Path, typer.Argument(help="A folder of recordings, one run per file.")]
+PeriodOption = Annotated[float, Option(help="Control period in seconds, 1e-5 to 10.")]
+RecordingsArgument = Annotated[Path, Argument(help="A folder of recordings, one run per file.")]
 RayOption = Annotated[
     str | None,
-    typer.Option(
+    Option(
         metavar="[ADDRESS]",
         help="Run on a Ray cluster at HOST:PORT, or auto to find it; with --ray alone, Ray starts on this machine.",
     ),

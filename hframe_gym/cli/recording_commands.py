@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
+from typer import Argument, Option
 
 from ..errors import InputError
 from ..files import locked_folder, output_batch, remove_file
@@ -45,9 +46,7 @@ _Fit = Callable[..., Any]  # `_fit_rig` with the options of the command
 
 
 @app.command()
-def examples(
-    out: Annotated[Path, typer.Option(help="Folder to create; an existing one is not replaced.")],
-) -> None:
+def examples(out: Annotated[Path, Option(help="Folder to create; an existing one is not replaced.")]) -> None:
     """Copy the example recordings of two rigs, their description and example notebooks to a new folder.
 
     Example:  hframe examples --out examples
@@ -65,40 +64,38 @@ def examples(
 def import_logs(
     logs: Annotated[
         Path,
-        typer.Argument(
+        Argument(
             help="A log or a folder of logs: text, MATLAB, Parquet, LeRobot, WPILib, ROS, MCAP, Klipper."
         ),
     ],
-    out: Annotated[Path, typer.Option(help="Folder for the recordings; existing runs are never replaced.")],
+    out: Annotated[Path, Option(help="Folder for the recordings; existing runs are never replaced.")],
     machine: MachineOption = "hframe",
     map: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             help="CHANNEL=COLUMN, e.g. v1_V=U1, x_m='#4' (fourth column), y_m=none, or time_s=200Hz without a column."
         ),
     ] = None,
     unit: Annotated[
         list[str] | None,
-        typer.Option(
-            help="CHANNEL=UNIT, e.g. phi1_rad=deg, v1_V=%, time_s=ms, or time_s=8kHz for a counter."
-        ),
+        Option(help="CHANNEL=UNIT, e.g. phi1_rad=deg, v1_V=%, time_s=ms, or time_s=8kHz for a counter."),
     ] = None,
     scale: Annotated[
-        list[str] | None, typer.Option(help="CHANNEL=FACTOR to the channel's unit: x_m=0.001.")
+        list[str] | None, Option(help="CHANNEL=FACTOR to the channel's unit: x_m=0.001.")
     ] = None,
     mapping: Annotated[
         Path | None,
-        typer.Option(help="TOML or JSON file with the tables map, unit and scale; options override it."),
+        Option(help="TOML or JSON file with the tables map, unit and scale; options override it."),
     ] = None,
     split_at_rests: Annotated[
-        bool, typer.Option("--split-at-rests", help="Cut each log into runs where the machine rests.")
+        bool, Option("--split-at-rests", help="Cut each log into runs where the machine rests.")
     ] = False,
     min_rest: Annotated[
-        float, typer.Option(min=0.01, max=3600.0, help="Shortest rest at which a log is cut, s.")
+        float, Option(min=0.01, max=3600.0, help="Shortest rest at which a log is cut, s.")
     ] = 0.5,
     split_every: Annotated[
         float | None,
-        typer.Option(
+        Option(
             min=0.5,
             max=3600.0,
             help="Cut each log into runs of about this duration, s, also where the machine moves.",
@@ -106,11 +103,9 @@ def import_logs(
     ] = None,
     cut: Annotated[
         list[str] | None,
-        typer.Option(
-            help="FROM:TO, s: keep this part of each log as a run; LOG=FROM:TO of one log; repeatable."
-        ),
+        Option(help="FROM:TO, s: keep this part of each log as a run; LOG=FROM:TO of one log; repeatable."),
     ] = None,
-    format: Annotated[RunFormats, typer.Option(help="Format of the recordings.")] = RunFormats.CSV_GZ,
+    format: Annotated[RunFormats, Option(help="Format of the recordings.")] = RunFormats.CSV_GZ,
 ) -> None:
     """Convert logs of controllers and data loggers to recordings, which the other commands read.
 
@@ -153,7 +148,7 @@ def import_logs(
 def check(
     runs_dir: RecordingsArgument,
     machine: MachineOption = "hframe",
-    json: Annotated[Path | None, typer.Option(help="Also write the findings to this file.")] = None,
+    json: Annotated[Path | None, Option(help="Also write the findings to this file.")] = None,
     max_rows: MaxRowsOption = 4_000_000,
 ) -> None:
     """Check recordings before a fit: clock, sensors, wiring, excitation and which parameters can be estimated.
@@ -186,33 +181,28 @@ def check(
 @app.command(cls=CommandWithChoices)
 def identify(
     runs_dir: Annotated[
-        Path,
-        typer.Argument(help="A folder of recordings, one run per file; or of such folders, one per rig."),
+        Path, Argument(help="A folder of recordings, one run per file; or of such folders, one per rig.")
     ],
     out: OutOption,
     machine: MachineOption = "hframe",
-    hold_out: Annotated[
-        list[str] | None, typer.Option(help="Run (file name without ending); repeatable.")
-    ] = None,
+    hold_out: Annotated[list[str] | None, Option(help="Run (file name without ending); repeatable.")] = None,
     jobs: Annotated[
         int | None,
-        typer.Option(
+        Option(
             min=1,
             max=1024,
             help="Number of threads (default: all cores); with several rigs, number of rigs at a time (default: 1).",
         ),
     ] = None,
     # Kept for scripts that pass it.
-    seed: Annotated[
-        int, typer.Option(hidden=True, help="No effect: identification draws no random numbers.")
-    ] = 0,
+    seed: Annotated[int, Option(hidden=True, help="No effect: identification draws no random numbers.")] = 0,
     force: Annotated[
-        bool, typer.Option("--force", help="Fit although `hframe check` finds faults in the data.")
+        bool, Option("--force", help="Fit although `hframe check` finds faults in the data.")
     ] = False,
     max_rows: MaxRowsOption = 1_000_000,
     budget: Annotated[
         float | None,
-        typer.Option(
+        Option(
             min=0.0,
             help="Processor time for a rig, s (default: 120). The search ends in time with the best machine so far "
             "(0: refit only; inf: no limit).",
@@ -421,8 +411,8 @@ def _identify_in_worker(fit: _Fit, show_progress: bool, rig: _Rig) -> _Identifie
 
 @app.command()
 def report(
-    folder: Annotated[Path, typer.Argument(help="A folder that `hframe identify` wrote.")],
-    open: Annotated[bool, typer.Option("--open", help="Open the report in the browser.")] = False,
+    folder: Annotated[Path, Argument(help="A folder that `hframe identify` wrote.")],
+    open: Annotated[bool, Option("--open", help="Open the report in the browser.")] = False,
 ) -> None:
     """Build report.html, one self-contained page, from the files of an identification.
 

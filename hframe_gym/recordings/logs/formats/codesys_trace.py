@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from typing_extensions import override
 
-from ....arrays import Array
 from ....errors import InputError
-from ...tables.text_reader import Progress
 from ..log import Log
 from .base import KNOWN_TEXT, LOG_FORMATS, LogFormat
-from .tables import TimedTable, log_of_tables, signal_columns
+from .tables import TimedTable, log_of_tables, table_in_memory
 
 _START = b"[key]; [value]"
 _VARIABLE = re.compile(r"^\d+\.Variable; *(.+?) *$", re.MULTILINE)
@@ -58,13 +53,8 @@ def _table(path: Path, name: str, block: str) -> TimedTable:
     except ValueError as error:
         raise InputError(f"{path}, variable {name}: {error}; remove the variable from the trace") from None
 
-    def read(
-        indices: Sequence[int], progress: Progress | None
-    ) -> tuple[NDArray[Any], list[Array], list[str]]:
-        return samples[:, 0] * _MILLISECONDS, [samples[:, 1] for _ in indices], []
-
-    columns = signal_columns([name]) if len(samples) else ()
-    return TimedTable(name, columns, read)
+    names = [name] if len(samples) else []
+    return table_in_memory(names, name, samples[:, 0] * _MILLISECONDS, [samples[:, 1]])
 
 
 def _number(value: str) -> float:

@@ -25,7 +25,7 @@ from ...recording import LONGEST_RUN
 from ...tables.text_reader import Progress
 from ..log import Log
 from .base import KNOWN_CONTENT, LOG_FORMATS, LogFormat
-from .tables import TimedTable, log_of_tables, signal_columns
+from .tables import Rows, TimedTable, log_of_tables, signal_columns, table_in_memory
 
 _END = b"\x03"  # of a message
 _BLOCK = 1 << 16  # compressed bytes that are expanded at a time; the size is checked after each block
@@ -201,7 +201,7 @@ def _motion(path: Path, name: str, params: Sequence[dict[str, Any]], measured_s:
             f"{path}, {name}: lasts {duration:.6g} s; a recording lasts at most {LONGEST_RUN:.6g} s"
         )
 
-    def read(indices: Sequence[int], progress: Progress | None) -> tuple[Array, list[Array], list[str]]:
+    def read(indices: Sequence[int], progress: Progress | None) -> Rows:
         if not len(table):
             return np.empty(0), [np.empty(0) for _ in indices], []
         time_s = table[0, 0] + _PERIOD * np.arange(int(duration / _PERIOD) + 1)
@@ -229,11 +229,7 @@ def _motion(path: Path, name: str, params: Sequence[dict[str, Any]], measured_s:
 
 def _in_memory(name: str, endings: Sequence[str], time_s: Array, values: Sequence[Array]) -> TimedTable:
     """Return a table whose values are known; its columns are NAME/ENDING."""
-
-    def read(indices: Sequence[int], progress: Progress | None) -> tuple[Array, list[Array], list[str]]:
-        return time_s, [values[index] for index in indices], []
-
-    return TimedTable(name, signal_columns([f"{name}/{ending}" for ending in endings]), read)
+    return table_in_memory([f"{name}/{ending}" for ending in endings], name, time_s, values)
 
 
 # By the kind of data, the part of the subscription's name before the colon; motions follow the times of the sensors.

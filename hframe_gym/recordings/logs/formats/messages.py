@@ -16,13 +16,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ....arrays import Array
 from ....errors import InputError
 from ....files import refuse_many_values
 from ...tables.text_reader import Progress
 from ..log import Log
 from .base import first_of
-from .tables import MOST_ITEMS, TimedTable, log_of_tables, signal_columns
+from .tables import MOST_ITEMS, Rows, TimedTable, log_of_tables, signal_columns
 
 _SAMPLE = 10  # first messages of a topic, from which its numbers follow
 _MOST_NUMBERS = 500  # of a topic
@@ -105,9 +104,7 @@ def numbers_of(message: Any, name: str) -> dict[str, float]:
 def _table(path: Path, source: MessageSource, topic: str, names: Sequence[str]) -> TimedTable:
     """Return the table of a topic."""
 
-    def read(
-        indices: Sequence[int], progress: Progress | None
-    ) -> tuple[NDArray[Any], list[Array], list[str]]:
+    def read(indices: Sequence[int], progress: Progress | None) -> Rows:
         wanted = [names[index] for index in indices]
         recorded, stamps, rows = [], [], []
         for time_ns, message in source.messages(topic):

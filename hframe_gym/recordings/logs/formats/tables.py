@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,9 @@ from ..log import Log, LogColumn
 MOST_ITEMS = 64  # of a list that is read; longer ones are images, scans and the like, not signals
 _UNIT = re.compile(r"\s\[[^\]]*\]$")
 _INDEX = re.compile(r"(?:\[\d+\])+$")
+# Times, float64 in s or datetime64[ns], and values of columns, shape (rows,) each; and sentences for the user about what
+# was left out.
+Rows: TypeAlias = tuple[NDArray[Any], list[Array], list[str]]
 
 
 @dataclass(frozen=True)
@@ -29,14 +32,13 @@ class TimedTable:
     Attributes:
         name: Name of the signal or topic.
         columns: The columns.
-        reader: Function that reads the times, float64 in s or datetime64[ns], shape (rows,), and the values of columns
-            by index, shape (rows,) each. It also returns sentences for the user about what was left out.
+        reader: Function that reads the times, and the values of columns by index.
         time_kind: "number" for times in s, or "stamp" for instants.
     """
 
     name: str
     columns: tuple[LogColumn, ...]
-    reader: Callable[[Sequence[int], Progress | None], tuple[NDArray[Any], list[Array], list[str]]]
+    reader: Callable[[Sequence[int], Progress | None], Rows]
     time_kind: str = "number"
 
 
@@ -55,6 +57,15 @@ def signal_columns(names: Sequence[str]) -> tuple[LogColumn, ...]:
         plain, unit = split_unit(last[: index.start()] if index else last)
         columns.append(LogColumn(name, f"{folder}{plain}{index[0] if index else ''}", unit, "number"))
     return tuple(columns)
+
+
+def table_in_memory(names: Sequence[str], name: str, time_s: Array, values: Sequence[Array]) -> TimedTable:
+    """Return a table `name` with columns `names`, whose times, s, and `values` are known, shape (rows,) each."""
+
+    def read(indices: Sequence[int], progress: Progress | None) -> Rows:
+        return time_s, [values[index] for index in indices], []
+
+    return TimedTable(name, signal_columns(names), read)
 
 
 def log_of_tables(path: Path, tables: Sequence[TimedTable], remarks: tuple[str, ...], part: str = "") -> Log:

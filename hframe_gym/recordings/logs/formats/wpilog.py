@@ -21,7 +21,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from typing_extensions import override
 
 from ....arrays import Array
@@ -31,7 +30,7 @@ from ...quantities import is_unit, normalize_unit
 from ...tables.text_reader import Progress
 from ..log import Log
 from .base import KNOWN_CONTENT, LOG_FORMATS, LogFormat, first_of
-from .tables import MOST_ITEMS, TimedTable, log_of_tables, signal_columns
+from .tables import MOST_ITEMS, Rows, TimedTable, log_of_tables, signal_columns
 
 _NUMBERS = {"boolean": "u1", "int64": "<i8", "float": "<f4", "double": "<f8"}  # NumPy types of the payloads
 _STRUCT_NUMBERS = {
@@ -239,9 +238,7 @@ def _states(content: bytes, entry: _Entry) -> list[str]:
 def _during(table: TimedTable, begin: float, end: float) -> TimedTable:
     """Return the rows of a table from a time, s, until before another."""
 
-    def read(
-        indices: Sequence[int], progress: Progress | None
-    ) -> tuple[NDArray[Any], list[Array], list[str]]:
+    def read(indices: Sequence[int], progress: Progress | None) -> Rows:
         time_s, values, remarks = table.reader(indices, progress)
         rows = (time_s >= begin) & (time_s < end)
         return time_s[rows], [column[rows] for column in values], remarks
@@ -306,7 +303,7 @@ def _table(
     if not ends:
         return None
 
-    def read(indices: Sequence[int], progress: Progress | None) -> tuple[Array, list[Array], list[str]]:
+    def read(indices: Sequence[int], progress: Progress | None) -> Rows:
         values = []
         for index in indices:
             number, leaf = divmod(index, len(leaves))
