@@ -194,7 +194,7 @@ def open_parquet(path: Path) -> Any:
             group.column(j).total_uncompressed_size for group in groups for j in range(content.num_columns)
         )
     except Exception as error:  # pyarrow raises many types, some of them private
-        raise InputError(f"{path}: cannot be read: {' '.join(str(error).split())}") from None
+        raise InputError(f"{path}: cannot be read: {one_line(error)}") from None
     refuse_many_values(path, content.num_rows, content.num_columns)
     refuse_expansion(path, max(size, 8 * content.num_rows * content.num_columns))
     repeated = next((name for name in names if names.count(name) > 1), None)
@@ -220,7 +220,7 @@ def read_parquet_column(path: Path, file: Any, name: str, max_rows: int | None =
         groups = range(min(int(np.searchsorted(ends, max_rows)) + 1, len(ends)))
         return file.read_row_groups(list(groups), columns=[name]).column(0)[:max_rows]
     except Exception as error:  # pyarrow raises many types, some of them private
-        raise InputError(f"{path}, column {name}: cannot be read: {' '.join(str(error).split())}") from None
+        raise InputError(f"{path}, column {name}: cannot be read: {one_line(error)}") from None
 
 
 def parquet_numbers(path: Path, name: str, column: Any) -> Array:

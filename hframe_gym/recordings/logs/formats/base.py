@@ -26,11 +26,12 @@ class LogFormat(ABC):
     """File format of logs: how its files are recognized, and how one is opened.
 
     Attributes:
-        suffixes: Endings of the names of its files, in lower case, by which they are found in a folder.
+        suffixes: Endings of the names of its files, in lower case, by which they are found in a folder; those of texts
+            need not be repeated.
         precedence: Of the formats that recognize a file, the one with the highest opens it.
     """
 
-    suffixes: ClassVar[tuple[str, ...]]
+    suffixes: ClassVar[tuple[str, ...]] = ()
     precedence: ClassVar[int] = CONTAINER
 
     @abstractmethod

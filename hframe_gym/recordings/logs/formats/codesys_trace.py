@@ -24,7 +24,6 @@ _MILLISECONDS = 1e-3  # s, the unit of the times
 class CodesysTraces(LogFormat):
     """Traces saved as text (.trace.csv or .txt)."""
 
-    suffixes = ()
     precedence = KNOWN_TEXT
 
     @override

@@ -20,7 +20,6 @@ _UNITS = {"time": "s", **dict.fromkeys(("accel_x", "accel_y", "accel_z"), "mm/s^
 class KlipperAccelerometerLogs(LogFormat):
     """Text files of ACCELEROMETER_MEASURE and of TEST_RESONANCES OUTPUT=raw_data; their spectra are refused."""
 
-    suffixes = ()
     precedence = KNOWN_TEXT
 
     @override

@@ -36,7 +36,6 @@ _OWN = re.compile(
 class ODriveLogs(LogFormat):
     """Tables in text with properties of ODrive, as scripts with odrivetool write them."""
 
-    suffixes = ()
     precedence = KNOWN_TEXT
 
     @override

@@ -30,7 +30,6 @@ _ENCLOSED = re.compile(r"^(?:\d\d:\d\d:\d\d\.\d+ -> )?([A-Za-z])[-+\d.]+(?:\t[-+
 class SimpleFocLogs(LogFormat):
     """Serial output of a motor with SimpleFOC, with its messages or with letters around the rows."""
 
-    suffixes = ()
     precedence = KNOWN_TEXT
 
     @override

@@ -20,7 +20,7 @@ from ..log import Log, LogColumn
 MOST_ITEMS = 64  # of a list that is read; longer ones are images, scans and the like, not signals
 _UNIT = re.compile(r"\s\[[^\]]*\]$")
 _INDEX = re.compile(r"(?:\[\d+\])+$")
-# Times, float64 in s or datetime64[ns], and values of columns, shape (rows,) each; and sentences for the user about what
+# Times, float64 in s or datetime64[ns], values of columns, shape (rows,) each, and sentences for the user about what
 # was left out.
 Rows: TypeAlias = tuple[NDArray[Any], list[Array], list[str]]
 
