@@ -180,11 +180,7 @@ def refuse_to_replace(folder: Path, recipe: str, task: str, machine: str, seed: 
 
 
 def read_training_card(file: Path) -> dict[str, Any]:
-    """Read settings and results of a training run that is to be resumed, and check the entries that are used.
-
-    Raises:
-        InputError: If the file is missing or damaged.
-    """
+    """Read settings and results of a run to resume, with checked entries; an InputError if the file is damaged."""
     card = read_json(file)
     try:
         columns = {tuple(row) for row in card["curve"]}

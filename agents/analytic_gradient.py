@@ -68,7 +68,6 @@ class AnalyticPolicyGradient:
     Attributes:
         policy: Policy with averaged weights (exponential moving average), which is evaluated and saved.
         num_timesteps: Environment steps so far.
-        action_space: Space of the actions, drives.
         generators: Generators of all random numbers that do not come from torch or the environment.
 
     Raises:

@@ -124,11 +124,7 @@ def improves(costs: Array, kept: Array | None) -> bool:
 
 
 def progress_line(row: Mapping[str, Any]) -> str:
-    """Format one row of a learning curve as a line for the terminal.
-
-    Args:
-        row: `steps` (environment steps so far), `seconds` (elapsed time, s), and scores as `score_agent` lists them.
-    """
+    """Format one row of a learning curve, as `score_agent` lists it, with `steps` and `seconds`, for the terminal."""
     prefix = f"{row['steps']:>9d} steps  {row['seconds']:6.0f} s"
     for small in (unit.small for unit in AXIS_UNITS.values()):
         if f"contour_rms_{small}" in row:

@@ -14,21 +14,13 @@ CONTRIB_ALGORITHMS = ("tqc", "crossq")  # of sb3-contrib, which the other algori
 
 
 def import_optional(module: str) -> Any:
-    """Import a module of the optional dependencies `hframe_gym[agents]`, for example "stable_baselines3.ppo".
-
-    Raises:
-        ImportError: If the module is not installed; the message names the pip command.
-    """
+    """Import a module such as "stable_baselines3.ppo"; an ImportError names the pip command of the extra `agents`."""
     with naming_extra("agents", f"learned controllers need {module.partition('.')[0]}"):
         return importlib.import_module(module)
 
 
 def require_training_packages(kind: str) -> None:
-    """Import every package that an algorithm needs, so that a missing one is reported before any work starts.
-
-    Raises:
-        ImportError: If a package of the optional dependencies `hframe_gym[agents]` is not installed.
-    """
+    """Import every package that an algorithm needs, so that an ImportError comes before any work starts."""
     for module in (*EXTRA_MODULES, *(("sb3_contrib",) if kind in CONTRIB_ALGORITHMS else ())):
         import_optional(module)
 

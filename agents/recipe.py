@@ -123,11 +123,7 @@ def recipe_names() -> tuple[str, ...]:
 
 
 def require_transfers(recipe: Recipe, machine: Machine, task: str) -> None:
-    """Check that the workspace of a machine allows all transfers (motions to rest at the goal) of a recipe.
-
-    Raises:
-        InputError: If a transfer is too long; the message lists recipes of the same task that suit the machine.
-    """
+    """Raise an InputError, with suitable recipes, if a machine's workspace is too small for a recipe's transfers."""
     needed, task = recipe.longest_transfer, recipe_task(task)
     if needed < 0:
         return

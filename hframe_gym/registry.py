@@ -97,11 +97,7 @@ def names_module(name: str) -> bool:
 
 
 def import_modules(package: str, path: Iterable[str], *, skip: tuple[str, ...] = ()) -> None:
-    """Import every module of a package but `skip`, so that the classes and functions in them register.
-
-    Args:
-        skip: Modules that need optional dependencies.
-    """
+    """Import every module of a package, but those that `skip` names, so that what they define registers."""
     for module in pkgutil.iter_modules(path):
         if module.name not in skip:
             importlib.import_module(f"{package}.{module.name}")

@@ -31,11 +31,7 @@ def curves_chart(
     intervals: Sequence[Interval] = (),
     window: tuple[float, float] | None = None,
 ) -> dict[str, Any]:
-    """Return the options of ECharts for curves, at least one, below each other, with a common axis of times.
-
-    Args:
-        window: Times to draw, s; None: all.
-    """
+    """Return options of ECharts for one or more curves, one below another, over the times of `window`, s, or all."""
     first = min(float(c.time[0]) for c in curves) if window is None else window[0]
     last = max(float(c.time[-1]) for c in curves) if window is None else window[1]
     options = _frame(dark)

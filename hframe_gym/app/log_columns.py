@@ -39,12 +39,10 @@ class Curve:
     """Values over time of a column or channel.
 
     Attributes:
-        name: Name of the column or channel.
         note: What it was taken for, in words.
         time: Times, s, or row numbers, shape (n,).
         values: Values, in the unit that the note or name states, shape (n,); NaN where there is none.
         held: Whether each value holds until the next, as that of an input.
-        used: Whether the column is used.
         others: Further values by name, shape (n,), such as those that a machine would have measured.
     """
 
@@ -102,7 +100,6 @@ class LogView:
     """A log as the user sees it: its curves, and how the import would take its columns.
 
     Attributes:
-        log: The opened log.
         curves: Curve of each column of numbers except the time.
         sources: Sources of the channels; empty if the import would be refused.
         problem: Why the import would be refused; "" if it would not.
@@ -153,11 +150,7 @@ def view_log(path: Path, machine: Machine, options: MappingOptions) -> LogView:
 
 
 def open_log(path: Path) -> Log:
-    """Open a file and return its first log.
-
-    Raises:
-        InputError: If the file cannot be read.
-    """
+    """Open a file and return its first log; an InputError if the file cannot be read."""
     return open_logs(path)[0]
 
 
@@ -205,11 +198,7 @@ def _times(log: Log, sources: Sequence[ChannelSource], values: dict[str, Array])
 
 
 def run_curves(path: Path, machine: Machine) -> list[Curve]:
-    """Return a curve for each input and output of an imported run.
-
-    Raises:
-        InputError: If the run is faulty.
-    """
+    """Return a curve for each input and output of an imported run; an InputError if the run is faulty."""
     run = _run(path, path.stat().st_mtime_ns, _Recorded(machine))
     columns = [*run.inputs.T, *run.outputs.T]
     names = [*machine.input_channels, *machine.output_channels]
@@ -218,11 +207,7 @@ def run_curves(path: Path, machine: Machine) -> list[Curve]:
 
 
 def run_size(path: Path, machine: Machine) -> tuple[int, float]:
-    """Return the number of rows and the duration, s, of an imported run.
-
-    Raises:
-        InputError: If the run is faulty.
-    """
+    """Return the number of rows and the duration, s, of an imported run; an InputError if it is faulty."""
     return _size(path, path.stat().st_mtime_ns, _Recorded(machine))
 
 

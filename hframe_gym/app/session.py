@@ -49,11 +49,7 @@ class Session:
     folder: Path
 
     def create(self) -> None:
-        """Make the folder and that of the logs, if they do not exist.
-
-        Raises:
-            InputError: If the folder is a file.
-        """
+        """Make the folder and that of the logs, if they do not exist; an InputError if the folder is a file."""
         if self.folder.exists() and not self.folder.is_dir():
             raise InputError(f"{self.folder}: is a file, but must be the folder of a session")
         (self.folder / LOGS).mkdir(parents=True, exist_ok=True)
@@ -64,11 +60,7 @@ class Session:
 
     @property
     def machine(self) -> Machine | None:
-        """The declared machine; None before there is one.
-
-        Raises:
-            InputError: If its file is faulty.
-        """
+        """The declared machine; None before there is one, an InputError if its file is faulty."""
         return load_machine(self.path(MACHINE)) if self.path(MACHINE).exists() else None
 
     @property

@@ -77,11 +77,7 @@ class Window:
 
 
 class Page:
-    """The stages in one browser tab.
-
-    Attributes:
-        stages: The stages by their keys.
-    """
+    """The stages in one browser tab."""
 
     def __init__(self, window: Window, *, dark: bool) -> None:
         """Create the stages."""

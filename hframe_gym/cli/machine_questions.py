@@ -35,7 +35,6 @@ class MachineAnswers:
     Attributes:
         like: Name of the template.
         out: File to write.
-        name: Name of the machine.
         given: Values by name in `MachineOptions`; those of `travel` and `mass` are texts with one value per axis,
             separated by commas, those of `values` texts "PARAMETER=VALUE", SI, those of `sensor` texts "KIND@PART".
     """
@@ -50,11 +49,7 @@ class MachineAnswers:
         return dataclasses.replace(self, given={**self.given, option: answer})
 
     def options(self) -> MachineOptions:
-        """Convert the answers, which are partly texts, to the options of `new_machine`.
-
-        Raises:
-            InputError: If a text is not a number, or does not have the form PARAMETER=VALUE.
-        """
+        """Convert the answers to the options of `new_machine`; an InputError if a text is no number or assignment."""
         values = {}
         for text in self.given.get("values", ()):
             parameter, separator, value = text.partition("=")

@@ -111,11 +111,7 @@ _ADVICE = (
 
 
 def check_keys(observation: Any) -> None:
-    """Check that an observation consists of arrays by key, for a batch of machines.
-
-    Raises:
-        InputError: If it is one array, as with the environment option `flat`, or lacks the batch axis.
-    """
+    """Raise an InputError if an observation is one array, as with the option `flat`, or lacks the batch axis."""
     if not isinstance(observation, Mapping):
         raise InputError(f"observation is one array of shape {np.shape(observation)}, not a dict: {_ADVICE}")
     if observation["observation"].ndim == 1:
@@ -201,11 +197,7 @@ class UnitCheck:
                 self._model = MotionModel(machine)
 
     def __call__(self, observation: KeyedObservation) -> None:
-        """Check an observation.
-
-        Raises:
-            InputError: If it is one array, lacks the batch axis or is normalized.
-        """
+        """Raise an InputError if an observation is one array, lacks the batch axis or is normalized."""
         check_keys(observation)
         if self._model is None:
             check_goal_units(observation, self._machine)
@@ -270,11 +262,7 @@ class FullStateController(Controller):
 
     @abstractmethod
     def act_on_state(self, state: TravelStates, goals: PreviewedGoals) -> Actions:
-        """Compute the actions for the control period that starts now from states and goals.
-
-        Raises:
-            InputError: If the preview is too short for the controller.
-        """
+        """Compute the actions for the period that starts now; an InputError if the preview is too short."""
 
 
 class Estimator(Protocol):

@@ -127,12 +127,7 @@ def print_findings(findings: Sequence[Finding], console: Console) -> None:
 
 
 def refuse_faults(findings: Sequence[Finding], folder: Path) -> None:
-    """Raise an error that lists the faults among findings, if there are any.
-
-    Raises:
-        InputError: If a finding has the severity "fault". The message states file, channel and message of each fault,
-            and that `hframe identify --force` fits nevertheless.
-    """
+    """Raise an InputError that states file, channel and message of each fault, if there is one, and --force."""
     faults = [finding for finding in findings if finding.severity == "fault"]
     if not faults:
         return

@@ -38,7 +38,6 @@ class CramerRaoBound:
         relative_std: Smallest possible standard deviation divided by the absolute value of the parameter; infinite if
             the parameter has no influence on the measurements.
         partner: Name of the parameter with the largest absolute correlation, "" if there is no other.
-        correlation: Correlation of the estimates of the two, in [-1, 1].
     """
 
     name: str

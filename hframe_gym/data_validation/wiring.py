@@ -152,7 +152,6 @@ class _Explanation(NamedTuple):
     Attributes:
         unexplained: Fraction of the squared force of the drives that no machine explains, plus the fraction of the
             squared motion that contradicts rigid kinematics.
-        balance: Balance of forces.
     """
 
     unexplained: float

@@ -115,11 +115,7 @@ class Stage(ABC, Generic[Tensor]):
         return self.from_numpy(states)
 
     def column(self, name: str) -> int:
-        """Return the index in `parameter_names` of a parameter, for example of "x.mass".
-
-        Raises:
-            InputError: If the machine has no such free parameter.
-        """
+        """Return the index in `parameter_names` of "x.mass", for example; an InputError if there is none."""
         if name not in self.parameter_names:
             tied = self.machine.ties.get(name)
             reason = (
@@ -129,11 +125,7 @@ class Stage(ABC, Generic[Tensor]):
         return self.parameter_names.index(name)
 
     def with_end_stops(self, parameters: Array) -> Array:
-        """Return the parameters of the simulated machines, SI, shape (B, P or more): with end stops, theirs follow.
-
-        Args:
-            parameters: Parameters of the machines, SI, shape (B, P).
-        """
+        """Return `parameters` of machines, SI, shape (B, P), with those of the end stops, shape (B, P or more)."""
         return self._stops.parameters(parameters) if self._stops else parameters
 
     def checked(
@@ -143,11 +135,7 @@ class Stage(ABC, Generic[Tensor]):
         parameters: Sequence[int],
         earlier: Sequence[int] | None,
     ) -> None:
-        """Raise an InputError if the shapes of the arguments of a simulation do not fit the machine and each other.
-
-        Raises:
-            InputError: If a shape does not fit.
-        """
+        """Raise an InputError if the shapes of the arguments do not fit the machine and each other."""
         batch = start[0] if len(start) == 2 else -1
         drives, size = len(self.machine.drives), len(self.state_names)
         expected = {

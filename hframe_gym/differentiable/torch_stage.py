@@ -131,11 +131,7 @@ class DifferentiableStage(Stage[torch.Tensor]):
         return result
 
     def tool_positions(self, states: Tensor) -> Tensor:
-        """Return the positions of the tool, m, shape (..., axes), in `states`, SI, shape (..., S).
-
-        Raises:
-            InputError: If the machine declares no tool axes.
-        """
+        """Return positions of the tool, if any, m, shape (..., axes), in `states`, SI, shape (..., S)."""
         if self._tool is None:
             raise InputError(
                 f"machine {self.machine.name!r} declares no tool_axes; use the states themselves"

@@ -92,12 +92,10 @@ class DifferentiableMotion:
     `hframe_gym.differentiable` makes these functions differentiable functions of torch and of JAX.
 
     Args:
-        period: Length of a period, s.
         longest_step: Largest step of the integrator, s.
         friction: Derivative at the corner of friction: "exact", "smoothed" or "sliding" (see `Friction`).
 
     Attributes:
-        period: As given, s.
         step: Step of the integrator, s.
 
     Raises:

@@ -35,11 +35,7 @@ EFFECTS: Mapping[str, Effect] = MappingProxyType(_REGISTERED)
 
 
 def register_effect(effect: Effect) -> Effect:
-    """Add an effect to `EFFECTS`, so that machine.json, environments and identification can use it, and return it.
-
-    Raises:
-        ValueError: If a different effect is registered under the same name.
-    """
+    """Add an effect to `EFFECTS` for all of the package, and return it; a ValueError if another one has its name."""
     if _REGISTERED.get(effect.name, effect) is not effect:
         raise ValueError(f"effect {effect.name!r} is registered already")
     _REGISTERED[effect.name] = effect

@@ -11,11 +11,7 @@ from .spaces import SignalSpec
 
 
 class BatchProperties:
-    """Properties that a single environment and a vector of environments take from their batch.
-
-    Attributes:
-        batch: The simulated environments.
-    """
+    """Properties that a single environment and a vector of environments take from their batch."""
 
     batch: EnvironmentBatch
 

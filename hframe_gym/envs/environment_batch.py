@@ -63,10 +63,8 @@ class EnvironmentBatch:
         workspace: One row per axis of the tool (x and y), columns low and high, m or rad, shape (axes, 2).
         distance_key: Key of an info with the distance to the goal: "distance_m", or "distance_rad" for rotary axes.
         contour_key: Key of an info with the distance to the path, "contour_m" or "contour_rad".
-        references: Computes the goals.
         observations: Computes observations from states or measurements.
         format: Converts observations, SI, to the form that `normalize`, `flat` and `error` select.
-        rewards: Computes the rewards.
         values: All N parameters of the running episodes, SI, order of `sampler.space.names`, shape (count, N).
         clipped: Number of action entries outside [-1, 1] in each running episode, shape (count,).
 

@@ -45,7 +45,6 @@ class Scene:
         path: Positions (x, y) of a moving goal, m; empty for a fixed goal.
         time_s: Time since the reset, s.
         distance: Distance from tool to goal, mm or mrad.
-        distance_unit: Unit of the distance.
     """
 
     position: Point
@@ -61,11 +60,7 @@ class Scene:
 
     @classmethod
     def of(cls, batch: EnvironmentBatch, b: int, trail: Sequence[Point]) -> Scene:
-        """Collect the data for a picture of environment b; the path of a moving goal is that of the first 3 s.
-
-        Args:
-            trail: Past tool positions (x, y), m, oldest first.
-        """
+        """Collect the data for a picture of environment b, with the `trail` of past tool positions, m, oldest first."""
         index = np.array([b])
         position = batch.simulator.positions(b)
         # A drive without a pulley is drawn at rest.

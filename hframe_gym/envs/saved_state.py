@@ -28,11 +28,7 @@ def batch_state(batch: Any) -> dict[str, Any]:
 
 
 def restore_batch(batch: Any, state: dict[str, Any]) -> None:
-    """Put the environments of an `EnvironmentBatch` into a state that `batch_state` returned.
-
-    Raises:
-        InputError: If the state has other parts than these environments; nothing is changed then.
-    """
+    """Put an `EnvironmentBatch` into a state of `batch_state`; an InputError for another one changes nothing."""
     attributes = {path: (owner, name) for path, owner, name in _attributes(batch)}
     different = sorted(set(attributes) ^ set(state))
     if different:

@@ -377,11 +377,7 @@ class ObservationFormat:
         return np.stack([center, scale if self.normalize else np.zeros_like(scale)])
 
     def goal_in_axis_unit(self, goal: ArrayLike) -> NDArray[np.float32]:
-        """Convert goals as observed, shape (axes,) or (n, axes), to positions, m, float32.
-
-        Args:
-            goal: Achieved or desired goals, m, or dimensionless if normalized, shape (axes,) or (n, axes).
-        """
+        """Convert a `goal` as observed, m or normalized, shape (axes,) or (n, axes), to a position, m, float32."""
         values = np.asarray(goal, np.float32)
         return (
             values * self._scale["desired_goal"] + self._center["desired_goal"] if self.normalize else values

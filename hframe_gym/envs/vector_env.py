@@ -311,12 +311,7 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
         return {**self._shared_state("vector"), "over": self._over.copy(), "trails": trails}
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Put the environments into a state that `get_state` returned, of these or of others with the same options.
-
-        Raises:
-            InputError: If it is no state, or that of environments with another number or other options; nothing is
-                changed then.
-        """
+        """Put the environments into a state of `get_state`; an InputError for other ones or options changes nothing."""
         self._restore_shared(state, "vector")
         self._over = state["over"].copy()
         self._collect_parameters()

@@ -321,11 +321,7 @@ def _bounds_by_digest() -> dict[str, float]:
 
 
 def stored_bounds(scenario: Scenario) -> StoredBounds:
-    """Look up the time-optimal bounds (shortest possible settling times) of a scenario's episodes, shape (B,).
-
-    Raises:
-        ValueError: If the environment rejects the scenario's options.
-    """
+    """Look up the time-optimal bounds of a scenario's episodes; a ValueError if its options are rejected."""
     if scenario.controller_task.ahead_s:  # the task previews goals, so that its goal moves
         return StoredBounds(None, "bounds exist for goals that do not move only")
     conditions = episode_conditions(scenario)

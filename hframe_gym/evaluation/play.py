@@ -148,7 +148,6 @@ class Game:
         speed: Speed of the simulation relative to real time, positive.
 
     Attributes:
-        stages: One or two stages.
         done: Whether the user has closed the window.
         paused: Whether the simulation is stopped.
         seed: Seed of the present episode.

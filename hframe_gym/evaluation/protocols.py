@@ -138,11 +138,7 @@ class Protocol:
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
     def check(self) -> None:
-        """Check that this installation gives the protocol's settings and episodes, so that scores are comparable.
-
-        Raises:
-            InputError: If the hash of settings and episodes differs from `digest`, which the protocol declares.
-        """
+        """Raise an InputError if this installation gives other settings or episodes than `digest` states."""
         digest = self.compute_digest()
         if digest != self.digest:
             raise InputError(

@@ -90,11 +90,7 @@ class MachineExporter(Exporter):
 
     @abstractmethod
     def files(self, machine: Machine) -> Files:
-        """Compute the contents of the files, text or bytes by file name.
-
-        Raises:
-            InputError: If the exporter cannot describe the machine.
-        """
+        """Compute the contents of the files by name; an InputError if they cannot describe the machine."""
 
     def loaded(self) -> Machine:
         """Return the machine of the field `machine`; an InputError if there is none, or its file is faulty."""

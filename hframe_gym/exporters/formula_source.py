@@ -43,8 +43,6 @@ class Parameter:
     """A parameter of the machine in exported source text.
 
     Attributes:
-        identifier: Name in the source text.
-        value: Value, SI.
         comment: Full name and unit.
     """
 
@@ -253,7 +251,6 @@ class Body:
     """Source text of a formula.
 
     Attributes:
-        lines: Assignments.
         numbers: Names of new numbers.
         conditions: Names of new truth values.
         used: Texts of the inputs and parameters that occur.

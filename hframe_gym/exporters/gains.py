@@ -32,8 +32,6 @@ class Gain(NamedTuple):
     Attributes:
         output: What the gain produces: the force along an axis, or the voltage of a drive.
         input: What it is multiplied by.
-        gain: Name of the gain.
-        value: Value in `unit`.
     """
 
     controller: str

@@ -41,7 +41,6 @@ class AxisMode(NamedTuple):
     """First mode of one axis.
 
     Attributes:
-        axis: Name of the axis.
         letter: "X" or "Y", the name of the axis in the firmware.
         frequency: Natural frequency, Hz.
         damping: Damping ratio, dimensionless.
@@ -116,11 +115,7 @@ class InputShaperExporter(MachineExporter):
         return notes
 
     def axis_modes(self, machine: Machine) -> list[AxisMode]:
-        """Compute the first mode of each axis of the tool.
-
-        Raises:
-            InputError: If an axis has no mode between motors and carriage, or is overdamped.
-        """
+        """Compute the first mode of each axis of the tool; an InputError if an axis does not vibrate."""
         axes = machine.tool_axes
 
         def quantities(variant: Machine) -> Array:

@@ -47,12 +47,9 @@ class MotionFormulas:
     """Formulas of a machine.
 
     Attributes:
-        dynamics: Inverse dynamics of the machine.
         formulas: Traced formulas in the order in which they are written.
         amplifiers: Traced characteristics of amplifiers by index of the drive.
         parameters: Parameters that the formulas may contain.
-        pid: The textbook PID; None if the machine has none.
-        without_pid: Why there is none.
     """
 
     dynamics: InverseDynamics

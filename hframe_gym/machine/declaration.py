@@ -96,8 +96,6 @@ class Attribute:
     """An attribute of a component.
 
     Attributes:
-        name: Its name.
-        declared: Its declaration, if it has one.
         type: Its type, without the declaration and without None.
         default: Its default; `dataclasses.MISSING` if the class has none.
         presence: Whether machine.json has it.

@@ -349,7 +349,6 @@ class AppliedEffect:
     """An effect at a site of a machine, with parameter values.
 
     Attributes:
-        definition: Definition of the effect.
         site: Name of the coordinate, drive, belt or sensor channel, or "drives", "belts", "machine".
         parameters: Values by name, SI: floats, or arrays for many variants at once.
     """
@@ -407,11 +406,7 @@ class AppliedEffect:
         return dataclasses.replace(self, parameters=dict(parameters))
 
     def check_site(self, machine: Components) -> None:
-        """Check that a machine has the component on which the effect acts, and does not have the effect there already.
-
-        Raises:
-            ValueError: If not; the message lists the possible sites.
-        """
+        """Raise a ValueError, with the possible sites, if a machine lacks the site, or has the effect there already."""
         if any(present.label == self.label for present in machine.effects):
             raise ValueError(f"effect {self.label}: machine {machine.name!r} has it already")
         sites = self.definition.possible_sites(machine)

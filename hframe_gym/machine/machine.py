@@ -338,11 +338,7 @@ class Machine:
         return Variant()
 
     def unit(self, parameter: str) -> str:
-        """Return the unit of a parameter, for example "Ns/m" for "x.viscous"; "1" if dimensionless.
-
-        Raises:
-            KeyError: If the machine has no such component, or no component has such a parameter.
-        """
+        """Return the unit of a parameter, such as "Ns/m" of "x.viscous", or "1"; a KeyError if it is unknown."""
         owner, _, key = parameter.rpartition(".")
         if effect := {e.label: e for e in self.effects}.get(owner):
             return self.effect_unit(effect, key)

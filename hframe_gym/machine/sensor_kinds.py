@@ -58,11 +58,7 @@ class SensorKind:
 
     @classmethod
     def quantity(cls) -> SensorQuantity:
-        """Return the quantity to which sensors of this kind respond, the name of the argument of `signal`.
-
-        Raises:
-            ValueError: If the argument has another name than one of the quantities.
-        """
+        """Return the quantity to which the kind responds, the argument of `signal`; a ValueError if it is none."""
         return _quantity_of(cls.signal)
 
     @classmethod

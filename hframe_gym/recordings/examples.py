@@ -13,11 +13,7 @@ _PARTS = ("README.md", "rig_a", "rig_b", "notebooks")  # those of the folder exa
 
 
 def examples_folder() -> Path:
-    """Return the folder with `rig_a`: inside the package if it was installed from a wheel, else in the repository.
-
-    Raises:
-        InputError: If this installation has no examples.
-    """
+    """Return the folder with `rig_a`, in a wheel's package or the repository; an InputError if there is none."""
     for folder in (_PACKAGE / "examples", _PACKAGE.parent / "examples"):
         if (folder / "rig_a").is_dir():
             return folder

@@ -46,7 +46,6 @@ class Wrap(NamedTuple):
     Attributes:
         modulus: Size of the jumps, in the unit of the values.
         name: What the modulus is, such as "one turn" or "a counter of 16 bits".
-        jumps: Number of jumps.
     """
 
     modulus: float

@@ -23,7 +23,6 @@ class Panel(NamedTuple):
     """A plot with one pair of axes.
 
     Attributes:
-        title: Caption.
         description: What the plot shows, for readers who do not see it (alternative text).
         draw: Function that draws on matplotlib axes; colors are those of `color`.
         height: Height, in; the width is 3.6 in.

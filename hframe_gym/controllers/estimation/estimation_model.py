@@ -174,11 +174,7 @@ class MeasurementModel:
         return np.stack(np.broadcast_arrays(*readings, at_rest[0])[:-1], axis=1)
 
     def deviation(self, states: TravelStates) -> Array:
-        """Compute d(s), what effects of the sensors add to a linear measurement of the position.
-
-        Returns:
-            Deviations, m of positions, m/s of speeds, shape (B, channels); 0 if the sensor is not used.
-        """
+        """Compute d(s), what effects add to a linear measurement, m or m/s, shape (B, channels); 0 if not used."""
         if self.is_linear:
             return np.zeros((len(states), self.channels))
         deviation = self._readings(states) * self._unit - states @ self._undelayed.T

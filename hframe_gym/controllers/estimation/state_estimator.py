@@ -70,7 +70,6 @@ class StateEstimator:
             they are estimated as well. Useful where the machine file may lack effects between encoder and belt.
 
     Attributes:
-        measurements: Measurement equation of the sensors.
         augmented: Names and prior covariance of the k estimated parameters (masses, friction, belts, motors).
 
     Raises:

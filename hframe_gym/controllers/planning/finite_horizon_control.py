@@ -81,14 +81,10 @@ class TransferSelection(NamedTuple):
 
 
 class TransferDesign:
-    """Design of minimum-energy transfers at operating points: their durations, and the gains of their first periods.
+    """Design of minimum-energy transfers, of `shortest` to `longest` periods, and the gains of their first periods.
 
     A transfer is a motion that brings the machine to rest at its goal. An operating point is a tool position at which
     the machine is linearized.
-
-    Attributes:
-        shortest: Number of periods of the shortest transfer.
-        longest: Number of periods of the longest transfer.
 
     Raises:
         InputError: If the period is not positive, or the machine's workspace has no range.

@@ -67,7 +67,6 @@ class _Guard:
     """Values that are updated only where a condition holds.
 
     Attributes:
-        before: Expressions of the values before the update.
         after: Expressions of the values within the branch.
         results: Variables that have either.
         first: Number of expressions that existed before the branch.

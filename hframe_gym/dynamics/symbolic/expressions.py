@@ -154,7 +154,6 @@ class Statement:
 
     Attributes:
         text: Template of the line; "{}" marks the places of the values.
-        values: Values in the line.
         sets: Variables to which the line assigns.
         body: Statements of the indented block below the line; empty for a simple statement.
         loop: Whether the block is the body of a loop.
@@ -202,11 +201,7 @@ def simplified(operation: str, values: tuple[Expression, ...]) -> Expression | N
 
 
 def function_source(trace: Recorder) -> str:
-    """Write the source text of a function from its recorded operations, for the module `lane_compiler`.
-
-    Raises:
-        RuntimeError: If an expression uses a variable after a new value has been assigned to the variable.
-    """
+    """Write a function's source text for `lane_compiler`; a RuntimeError if it uses a variable's old value."""
     return "\n".join([f"def {trace.signature}:", *_Writer(trace.statements, trace.names).lines]) + "\n"
 
 

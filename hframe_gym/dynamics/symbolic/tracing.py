@@ -38,7 +38,6 @@ class Trace:
         signature: Name and arguments of the function, for example "prepare(parameters, derived, h)".
 
     Attributes:
-        statements: Statements of the function, in order.
         names: Name in the source text of each expression that has one.
     """
 

@@ -42,7 +42,6 @@ class FormulaEffect:
     Attributes:
         name: Name of the new effect, a Python identifier.
         formula: The formula with its fitted parameters.
-        table: The table at its site.
         notes: Sentences about the origin and the accuracy, for the docstring of the file.
     """
 

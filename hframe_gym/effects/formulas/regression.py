@@ -118,7 +118,6 @@ class Formula:
     """Sum of terms with fitted parameters.
 
     Attributes:
-        terms: The summands.
         amplitudes: Amplitudes of all columns, term after term, N or Nm divided by a power of the variable's unit.
         shapes: Shape parameters by term, in the unit of the variable.
         error: Root-mean-square error at knots that the formula was not fitted to (cross-validation), in standard

@@ -267,11 +267,7 @@ class ReferenceTrajectories:
                 observation["preview"][index] = previews
 
     def path(self, b: int, elapsed_s: Array) -> NDArray[np.float32]:
-        """Compute the goals of environment b at n times, m, float32, shape (n, axes); (0, axes) if goals do not move.
-
-        Args:
-            elapsed_s: Times since its reset, s, shape (n,).
-        """
+        """Compute goals of environment b at `elapsed_s`, s, shape (n,): m, shape (n, axes), or (0, axes) if at rest."""
         if not self.moving:
             return np.zeros((0, self._fixed_goals.shape[1]), np.float32)
         return self._task.goal(self._plans[b : b + 1], elapsed_s[None])[0].astype(np.float32)

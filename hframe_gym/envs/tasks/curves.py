@@ -61,11 +61,7 @@ class Curve:
         return points
 
     def distance(self, points: Array, s: Array) -> Array:
-        """Compute the distances, m, shape (n,), of `points`, m, shape (n, 2), to the part of the curve near s.
-
-        Args:
-            s: Approximate arc length of the nearest point of the curve to each of `points`, m, shape (n,).
-        """
+        """Compute the distances, m, shape (n,), of `points`, m, shape (n, 2), to the curve near `s`, m, shape (n,)."""
         distances = np.empty(len(points))
         write_distances(points, s, self.data, distances)
         return distances

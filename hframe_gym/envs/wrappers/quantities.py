@@ -40,13 +40,7 @@ QUANTITIES: Registry[Quantity] = Registry("quantity")
 class StepRecord:
     """The last step of a batch of environments.
 
-    Args:
-        actions: Actions of the step, limited to [-1, 1], shape (count, drives).
-        last_actions: Actions of the step before, shape (count, drives); zero in the first step of an episode.
-
     Attributes:
-        actions: As given.
-        last_actions: As given.
         period: Length of the step, s.
     """
 

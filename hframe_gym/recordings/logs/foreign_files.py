@@ -26,11 +26,7 @@ _JSON_START = re.compile(rb"(?:\xef\xbb\xbf)?\s*(?:\{\s*[\"}]|\[\s*(?:[\"\[{]|-?
 
 
 def refuse_foreign_file(path: Path, start: bytes) -> None:
-    """Refuse a file of a kind that is not read, which its name or first bytes show.
-
-    Raises:
-        InputError: If it is of such a kind. The message names it and says how to export the data.
-    """
+    """Raise an InputError, which says how to export the data, for a kind of file that is not read."""
     for beginning, problem, advice in _BY_START:
         if start.startswith(beginning):
             raise InputError(f"{path}: {problem}; {advice}")

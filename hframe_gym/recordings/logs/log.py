@@ -52,7 +52,6 @@ class Log:
     """Log file whose columns are known and whose values are read on demand.
 
     Attributes:
-        columns: Its columns in the order of the file.
         remarks: Remarks for the user on the file's format, where it differs from that of a recording.
         reader: Function that reads the values of columns by index in `columns`, followed by `times`, see `read`.
         part: Name of the part of the file that this log is; "" if the file is one log.

@@ -55,7 +55,6 @@ class Template:
     """What a template adds to the built-in machine of the same name.
 
     Attributes:
-        title: What it is, for people.
         comment: How the coordinates are counted, for the file.
         coordinates: Comments by name of the coordinate; without one, it is the pulley of a motor.
         lengths: m of rest length of each belt section per m of travel along x and y: the frame grows with the travel,
@@ -231,7 +230,6 @@ class TemplateQuestion:
 
     Attributes:
         option: Its name in `MachineOptions`.
-        text: Question for its value.
         default: Value of the template, SI; for `travel` and `mass` a text with one value per axis, separated by commas.
         choices: The answers that are accepted, and what each means; empty if the answer is a value.
         several: Whether the answer is any number of the choices, by default none, instead of one.

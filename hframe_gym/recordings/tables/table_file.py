@@ -224,11 +224,7 @@ def read_parquet_column(path: Path, file: Any, name: str, max_rows: int | None =
 
 
 def parquet_numbers(path: Path, name: str, column: Any) -> Array:
-    """Convert a column of a Parquet file to numbers, shape (rows,); NaN where it has no value.
-
-    Raises:
-        InputError: If a value cannot be converted, such as an integer beyond the exact range of floating-point numbers.
-    """
+    """Convert a Parquet column to numbers, shape (rows,), NaN where empty; an InputError if one is not exact."""
     try:
         return np.asarray(column.cast("double").to_numpy(), np.float64)
     except Exception as error:  # pyarrow raises many types, some of them private

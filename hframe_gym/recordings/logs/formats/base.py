@@ -64,11 +64,7 @@ class LogFormat(ABC):
 
 
 def require_extra(path: Path, what: str, extra: str, modules: Sequence[str], advice: str) -> None:
-    """Refuse a file, with an InputError, if a module is missing that the extra installs; advise what to do instead.
-
-    Args:
-        what: Kind of the file in the plural, such as "HDF5 files".
-    """
+    """Refuse a file of a kind, such as "HDF5 files", with advice, if a module of the extra is missing."""
     if any(importlib.util.find_spec(module) is None for module in modules):
         raise InputError(f"{path}: reading {what} needs pip install 'hframe_gym[{extra}]'; or {advice}")
 

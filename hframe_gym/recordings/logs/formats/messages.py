@@ -88,11 +88,7 @@ def log_of_messages(path: Path, source: MessageSource, remarks: tuple[str, ...])
 
 
 def numbers_of(message: Any, name: str) -> dict[str, float]:
-    """Find all numbers in a message, by name; long lists, texts and the time of the header are left out.
-
-    Args:
-        name: Name of its topic, with which the names of the numbers begin.
-    """
+    """Find all numbers in a message by name, which begins with `name`; without long lists, texts and the header."""
     found: dict[str, float] = {}
     members = _members(message)
     if members is not None:

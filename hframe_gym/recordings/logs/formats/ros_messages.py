@@ -61,11 +61,7 @@ class RosDecoder:
         self._store.max_sequence_length = _LONGEST_LIST
 
     def decoder(self, name: str, *, ros1: bool) -> Callable[[bytes], Any]:
-        """Return the function from the bytes of a message of a type, serialized as in ROS 1 or 2, to its object.
-
-        Raises:
-            UnreadableError: If the type is not known.
-        """
+        """Return the function from a message's bytes, as in ROS 1 or 2, to its object, or raise UnreadableError."""
         if name not in self._store.fielddefs:
             raise UnreadableError("its definition is not in the file")
         decode = self._store.deserialize_ros1 if ros1 else self._store.deserialize_cdr

@@ -30,8 +30,6 @@ class TimedTable:
     """Columns of a log that share their times, such as the fields of a topic.
 
     Attributes:
-        name: Name of the signal or topic.
-        columns: The columns.
         reader: Function that reads the times, and the values of columns by index.
         time_kind: "number" for times in s, or "stamp" for instants.
     """
@@ -43,11 +41,7 @@ class TimedTable:
 
 
 def signal_columns(names: Sequence[str]) -> tuple[LogColumn, ...]:
-    """Build the columns of numbers of signals that are named like paths: "/arm/position[0]" or "/arm/angle_deg".
-
-    Args:
-        names: Names of the signals. Only the part after the last slash may end in a unit; an index in brackets is none.
-    """
+    """Build columns of numbers named like paths, with a unit at the end of their last part: "/arm/angle_deg"."""
     columns = []
     for name in names:
         stated = _UNIT.search(name)  # a unit in brackets may have a slash as well
@@ -60,7 +54,7 @@ def signal_columns(names: Sequence[str]) -> tuple[LogColumn, ...]:
 
 
 def table_in_memory(names: Sequence[str], name: str, time_s: Array, values: Sequence[Array]) -> TimedTable:
-    """Return a table `name` with columns `names`, whose times, s, and `values` are known, shape (rows,) each."""
+    """Return a table of known columns `names`: their times `time_s`, s, and `values`, shape (rows,) each."""
 
     def read(indices: Sequence[int], progress: Progress | None) -> Rows:
         return time_s, [values[index] for index in indices], []
