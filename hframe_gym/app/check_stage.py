@@ -44,7 +44,6 @@ class CheckStage(Stage):
     )
 
     def __init__(self, page: Any) -> None:
-        """Create the stage."""
         super().__init__(page)
         self._run = ""
         self._wanted: list[_Wanted] = []

@@ -37,7 +37,6 @@ class ControlStage(Stage):
     )
 
     def __init__(self, page: Any) -> None:
-        """Create the stage."""
         super().__init__(page)
         self._controllers = ["pid", "textbook-pid"]
         self._task = "reach"

@@ -28,7 +28,6 @@ class ExportStage(Stage):
     )
 
     def __init__(self, page: Any) -> None:
-        """Create the stage."""
         super().__init__(page)
         self._kind = "c"
         self._options: dict[str, str] = {}

@@ -30,7 +30,6 @@ class IdentifyStage(Stage):
     )
 
     def __init__(self, page: Any) -> None:
-        """Create the stage."""
         super().__init__(page)
         self._hold_out: list[str] = []
         self._budget = ""

@@ -51,7 +51,6 @@ class LogsStage(Stage):
     )
 
     def __init__(self, page: Any) -> None:
-        """Create the stage."""
         super().__init__(page)
         self._choices = ImportChoices()
         self._split = ""

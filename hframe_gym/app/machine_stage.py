@@ -41,7 +41,6 @@ class MachineStage(Stage):
     )
 
     def __init__(self, page: Any) -> None:
-        """Create the stage."""
         super().__init__(page)
         self._like = "hframe"
         self._values: dict[str, str | bool | list[str]] = {}

@@ -64,7 +64,6 @@ class Stage(ABC):
     container: Any
 
     def __init__(self, page: Tab) -> None:
-        """Create a stage of a page."""
         self.page, self.session = page, page.session
         self._code: Any = None
         self._output: Any = None

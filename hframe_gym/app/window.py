@@ -49,7 +49,6 @@ class Window:
     """The window of a session; every browser tab shows the same session and the last job of each stage, by its key."""
 
     def __init__(self, session: Session) -> None:
-        """Create the window."""
         self.session = session
         self.jobs: dict[str, Job] = {}
 
@@ -80,7 +79,6 @@ class Page:
     """The stages in one browser tab."""
 
     def __init__(self, window: Window, *, dark: bool) -> None:
-        """Create the stages."""
         self.window, self.session, self.dark = window, window.session, dark
         self.stages: dict[str, Stage] = {kind.key: kind(self) for kind in _STAGES}
         self._tabs: dict[str, Any] = {}
