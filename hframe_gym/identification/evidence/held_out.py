@@ -12,6 +12,7 @@ from ...preparation.dataset import Dataset, PreparedRecording
 from ..evidence.tried_effects import SelectedEffect
 from ..fit.estimation import Fit, prediction_cost
 from ..fit.inverse_dynamics import force_error
+from ..fit.model_error import bandwidths_for
 from ..judge import held_out as judge
 from ..judge.error import FitError
 from ..judge.run import HeldOutRun, contradicts
@@ -88,6 +89,8 @@ def worsens_simulation(without: Machine, machine: Machine, validation: Dataset) 
     """Check whether a machine with effects simulates the held-out runs worse than the refitted machine without them.
 
     An observer hides slow errors, so that wrong effects may reduce the error of predictions and add up in a simulation.
+    Errors of interpolated voltages add up there as well, to many times what effects change. Runs with such errors are
+    therefore predicted with the narrowest observer that suits them (`bandwidths_for`).
 
     Args:
         without: Refitted machine without the effects.
@@ -99,9 +102,9 @@ def worsens_simulation(without: Machine, machine: Machine, validation: Dataset) 
         the runs above 1. In this mean, a single run with a large error of another cause counts little. A run on which
         both simulations diverge does not count.
     """
-    changes = []
+    bandwidth, changes = bandwidths_for(validation)[-1], []
     for run in validation.single_runs():
-        costs = [prediction_cost(m, run, SIMULATION, longest_step=POLISH_STEP) for m in (without, machine)]
+        costs = [prediction_cost(m, run, bandwidth, longest_step=POLISH_STEP) for m in (without, machine)]
         changes.append(np.log(costs[1]) - np.log(costs[0]) if np.isfinite(costs).any() else 0.0)
     return judge.worsens_simulation(changes)
 

@@ -35,7 +35,7 @@ from ..judge.verdict import (
 )
 from ..predict.prediction import POLISH_STEP, SEARCH_BANDWIDTH, innovation_variance
 from ..predict.start_uncertainty import prediction_residuals
-from ..predict.voltage_errors import simulation_error
+from ..predict.voltage_errors import simulation_error, with_voltage_errors
 from ..propose.dependences import are_causes, rank_dependences
 from ..propose.trial_fits import without_effect
 from ..search.outcome import SearchOutcome, with_removed, without_names
@@ -283,14 +283,15 @@ def _quiet(evaluated: Evaluated, runs: Sequence[PreparedRecording]) -> Dataset:
     """Return some of the held-out runs with the starts of the corrected machine and the noise at rest.
 
     Jitter of the clock is an estimate from the motion, and a sensor that repeats its measurements may be mistaken for
-    it.
+    it. So may what unknown voltages between the rows do, which counts by their own statistics, in units of this noise.
     """
     validation = evaluated.validation.with_runs([run.name for run in runs])
     quiet = [
         dataclasses.replace(r, noise=np.broadcast_to(validation.noise, r.noise.shape))
         for r in validation.runs
     ]
-    return dataclasses.replace(validation, runs=tuple(quiet))
+    data = dataclasses.replace(validation, runs=tuple(quiet))
+    return with_voltage_errors(evaluated.before.machine, data) if data.has_voltage_errors else data
 
 
 def _remaining_prediction(

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 from functools import cache
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +20,7 @@ from hframe_gym.identification import (
     identify,
     prepare,
 )
+from hframe_gym.identification.evidence.held_out import worsens_simulation
 from hframe_gym.identification.fit.channel_errors import channel_errors
 from hframe_gym.identification.fit.covariance import with_uncertainty
 from hframe_gym.identification.fit.estimation import prediction_cost
@@ -34,6 +37,7 @@ from hframe_gym.identification.fit.voltage_updates import (
     count_updates,
     require_updates,
 )
+from hframe_gym.identification.judge.verdict import JUDGING_BANDWIDTH
 from hframe_gym.identification.predict.free_parameters import prior_precision
 from hframe_gym.identification.predict.prediction import (
     NARROWEST_WITH_VOLTAGE_ERRORS,
@@ -50,6 +54,7 @@ from hframe_gym.identification.predict.voltage_errors import (
     with_voltage_errors,
 )
 from hframe_gym.identification.report.answers import reason_of_remainder
+from hframe_gym.identification.validate.evaluation import _quiet
 from hframe_gym.machine import BUILTIN_MACHINES
 from hframe_gym.recordings import Recording
 from tests.identification.controlled_runs import controlled_run, every, random_places
@@ -105,6 +110,24 @@ def test_the_exact_machine_leaves_white_residuals_with_the_variance_of_noise() -
     assert 0.5 < white < 1.4  # the errors of this controller, which differentiates rounding errors, alternate
     residual = prediction_residuals(RIG, with_errors().runs[0], with_errors(), narrow).reshape(-1, 2)
     assert np.all(np.abs(np.sum(residual[1:] * residual[:-1], axis=0)) < 0.4 * np.sum(residual**2, axis=0))
+
+
+def test_held_out_runs_count_unknown_voltages_in_units_of_the_noise_at_rest() -> None:
+    """These voltages pass for jitter, which makes the noise larger; the exact machine must not seem wrong for that."""
+    evaluated: Any = SimpleNamespace(validation=with_errors(), before=SimpleNamespace(machine=AXIS))
+    assert with_errors().jitter > 0.0
+    quiet = _quiet(evaluated, with_errors().runs)
+    assert (
+        prediction_cost(RIG, quiet, JUDGING_BANDWIDTH) < 2.0 * quiet.count
+    )  # 31 in units of the larger noise
+
+
+def test_the_right_machine_does_not_seem_worse_because_unknown_voltages_add_up() -> None:
+    """In simulations, 3 % less friction make up for a part of what these voltages do; predictions deny it."""
+    smooth = RIG.replace({"x.coulomb": 0.97 * RIG.parameters["x.coulomb"]})
+    assert worsens_simulation(smooth, RIG, interpolated())
+    assert not worsens_simulation(smooth, RIG, with_errors())
+    assert worsens_simulation(RIG, smooth, with_errors())
 
 
 def test_residuals_are_whitened_window_by_window() -> None:
