@@ -61,24 +61,38 @@ def _confusion(counts: dict[str, dict[str, int]], path: Path) -> None:
         )
     axes.set_xticks(range(len(named)), named, rotation=90, fontsize=6)
     axes.set_yticks(range(len(hidden)), hidden, fontsize=6)
-    axes.set_xlabel("named family")
+    axes.set_xlabel("named family\n(number of effects; color: fraction of the row)")
     axes.set_ylabel("hidden family")
     save_figure(figure, path)
 
 
 def _detection(detection: dict[str, Any], path: Path) -> None:
-    """Draw every effect by family and size, and the size at which half are identified."""
-    figure, axes = plt.subplots(figsize=(6, 0.27 * len(detection) + 1.2), layout="constrained")
-    for row, found in enumerate(detection.values()):
-        for identified, color, shift in ((True, _GREEN, 0.12), (False, _RED, -0.12)):
-            sizes = [100 * size for size, hit in found["points"] if hit == identified]
-            axes.plot(sizes, np.full(len(sizes), row + shift), "o", ms=3, color=color)
-        if found["half"] is not None:
-            axes.plot([100 * found["half"]] * 2, [row - 0.4, row + 0.4], color="black", lw=1.2)
+    """Draw every effect by family and size, and the size at which half are identified, if some are and some are not."""
+    figure, axes = plt.subplots(figsize=(6, 0.27 * len(detection) + 1.5), layout="constrained")
+    for identified, marker, color, shift, name in (
+        (True, "o", _GREEN, 0.12, "identified"),
+        (False, "x", _RED, -0.12, "not identified"),
+    ):
+        points = [
+            (100 * size, row + shift)
+            for row, found in enumerate(detection.values())
+            for size, hit in found["points"]
+            if hit == identified
+        ]
+        axes.plot(*np.reshape(points, (-1, 2)).T, marker, ms=4, color=color, label=name)
+    halves = [
+        (100 * found["half"], row)
+        for row, found in enumerate(detection.values())
+        if found["half"] is not None and found["identified"] > 0
+    ]
+    if halves:
+        axes.plot(*np.transpose(halves), "|", ms=13, color="black", label="half are identified")
     axes.set_xscale("log")
+    axes.xaxis.set_major_formatter("{x:g}")
     axes.set_yticks(range(len(detection)), list(detection), fontsize=7)
     axes.invert_yaxis()
-    axes.set_xlabel("size, % of the full one\n(green: identified, red: not; bar: half are identified)")
+    axes.set_xlabel("size, % of the full one")
+    figure.legend(loc="outside upper center", ncols=3, fontsize=7, frameon=False)
     save_figure(figure, path)
 
 
@@ -111,16 +125,16 @@ def _calibration(rows: list[Row], path: Path) -> None:
 def _errors(rows: list[Row], path: Path) -> None:
     """Draw the error on unseen runs after identification over that of the true machine."""
     figure, axes = plt.subplots(figsize=(5, 4.5), layout="constrained")
-    for some, color, name in zip(
-        split_by_residue(rows), (_GREEN, _RED), ("clean", "with residue"), strict=True
+    for some, marker, color, name in zip(
+        split_by_residue(rows), "os", (_GREEN, _RED), ("clean", "with residue"), strict=True
     ):
         if some:
             true, after = (
                 np.clip([r["unseen"][k]["mean"] for r in some], *_RATIO_LIMITS) for k in ("true", "after")
             )
-            axes.loglog(true, after, "o", ms=4, color=color, label=name)
-    axes.loglog(_RATIO_LIMITS, _RATIO_LIMITS, color=_GRAY, lw=0.8)
-    axes.set_xlabel("true machine: error on unseen runs over the noise")
-    axes.set_ylabel("identified machine: the same")
+            axes.loglog(true, after, marker, ms=4, color=color, label=name)
+    axes.loglog(_RATIO_LIMITS, _RATIO_LIMITS, color=_GRAY, lw=0.8, label="equal errors")
+    axes.set_xlabel("error of the true machine on unseen runs / noise")
+    axes.set_ylabel("error of the identified machine on unseen runs / noise")
     axes.legend(fontsize=7)
     save_figure(figure, path)
