@@ -264,6 +264,14 @@ def test_a_controller_that_never_settles_is_not_praised(tmp_path: Path) -> None:
     assert "Settling time to" not in text  # no plot of the length of the episodes
 
 
+def test_a_scorecard_names_what_the_drives_are_commanded_by(tmp_path: Path) -> None:
+    page = scorecard_page("reach", tmp_path, command={"name": "current", "unit": "A"}).read_text()
+    assert "current variation, A" in page
+    assert "time at rated current, %" in page
+    assert "Current variation: sum" in page
+    assert "voltage variation" not in page
+
+
 def test_the_plot_of_settling_times_leaves_out_a_controller_that_never_settles(tmp_path: Path) -> None:
     recorded = {
         name: episodes_of(0, contour=False, decay_s=s) for name, s in {"pid": 0.04, "idle": 10.0}.items()

@@ -11,7 +11,7 @@ from ..operating_system import quoted
 from ..web_page import number
 from .metrics import ranked_episodes
 from .reported_scores import ratio_to_bounds, task_name
-from .scenario import Episodes
+from .scenario import Command, Episodes
 
 _SENSORS = {
     "state": "exact positions and velocities, without noise, rounding or delay, which no sensor measures",
@@ -19,7 +19,7 @@ _SENSORS = {
     "machine": "the sensors of the machine file, with their noise and resolution",
 }
 _DRIVES = {
-    "ideal": "voltages act at once, without rounding; only the rated voltage limits them",
+    "ideal": "{0}s act at once, without rounding; only the rated {0} limits them",
     "rig": "12-bit converters, and amplifiers that limit the current to 12 A",
     "machine": "as the machine file declares them",
 }
@@ -44,11 +44,13 @@ _CLEAR_GAIN = 1.15
 def assumptions(scores: Mapping[str, Any]) -> dict[str, str]:
     """Describe what an evaluation assumes: sentences without a period, by what they are about."""
     sensors, drives, machines = (str(scores.get(key, "")) for key in ("sensors", "drives", "randomize"))
-    period_ms = 1e3 * scores["period_s"]
+    period_ms, command = 1e3 * scores["period_s"], Command(**scores.get("command", {})).name
     return {
         "Sensors": f"{sensors}: {_SENSORS[sensors]}" if sensors in _SENSORS else sensors,
-        "Control period": f"{number(period_ms)} ms ({number(1e3 / period_ms)} Hz); voltages are held in between",
-        "Drives": f"{drives}: {_DRIVES[drives]}" if drives in ACTUATOR_PRESETS else drives or "not stated",
+        "Control period": f"{number(period_ms)} ms ({number(1e3 / period_ms)} Hz); {command}s are held in between",
+        "Drives": f"{drives}: {_DRIVES[drives].format(command)}"
+        if drives in ACTUATOR_PRESETS
+        else drives or "not stated",
         "Machines": f"{machines}: {_MACHINES[machines]}" if machines in RANDOMIZATION_PRESETS else machines,
     }
 

@@ -21,7 +21,7 @@ SMALLEST_ERROR_MM = 1e-3  # mm or mrad, lower end of the logarithmic error axis 
 
 
 def plot_episode(episodes: Episodes, episode: int = 0, *, title: str = "") -> Any:
-    """Plot one episode in three panels: tool path, distance to the goal (and to the path) over time, and voltages.
+    """Plot one episode in three panels: tool path, distance to the goal (and to the path) over time, and commands.
 
     The first panel shows the position over time if the machine has one axis. The result is a figure of matplotlib.
 
@@ -36,10 +36,10 @@ def plot_episode(episodes: Episodes, episode: int = 0, *, title: str = "") -> An
         raise IndexError(f"episode {episode} of {len(episodes.position)}")
     with matplotlib.rc_context(plot_style()):
         figure = Figure(figsize=(11, 3.6), layout="constrained")
-        path_axes, error_axes, voltage_axes = figure.subplots(1, 3)
+        path_axes, error_axes, command_axes = figure.subplots(1, 3)
         _plot_path(path_axes, episodes, episode)
         _plot_error(error_axes, episodes, episode)
-        _plot_voltages(voltage_axes, episodes, episode)
+        _plot_commands(command_axes, episodes, episode)
         if title:
             figure.suptitle(title)
     return figure
@@ -65,7 +65,7 @@ def _plot_path(axes: Any, episodes: Episodes, episode: int) -> None:
     if position.shape[1] == 1:
         axes.plot(episodes.time_s, position[:, 0], lw=1.2, label="tool")
         axes.plot(episodes.time_s, goal[:, 0], color=color("muted"), lw=0.7, ls="--", label="goal")
-        axes.set(xlabel="time (s)", ylabel=f"position ({episodes.unit.small})")
+        axes.set(xlabel="time, s", ylabel=f"position, {episodes.unit.small}")
         legend_above(axes)
         return
     if episodes.contour is not None:
@@ -75,7 +75,7 @@ def _plot_path(axes: Any, episodes: Episodes, episode: int) -> None:
     if episodes.contour is None:
         axes.plot(*goal[-1], "x", ms=7, label="goal")
     small = episodes.unit.small
-    axes.set(xlabel=f"x ({small})", ylabel=f"y ({small})", aspect="equal", adjustable="datalim")
+    axes.set(xlabel=f"x, {small}", ylabel=f"y, {small}", aspect="equal", adjustable="datalim")
     legend_above(axes)
 
 
@@ -87,23 +87,24 @@ def _plot_error(axes: Any, episodes: Episodes, episode: int) -> None:
         contour_mm = 1e3 * episodes.contour[episode]
         axes.semilogy(time_s, np.maximum(contour_mm, SMALLEST_ERROR_MM), lw=1.2, label="to the path")
         legend_above(axes)
-    _mark_bands(axes, time_s[-1], episodes.unit)
+    _mark_bands(axes, episodes.unit)
     to_goal = " to the goal" if episodes.contour is None else ""
-    axes.set(xlabel="time (s)", ylabel=f"distance{to_goal} ({episodes.unit.small})")
+    axes.set(xlabel="time, s", ylabel=f"distance{to_goal}, {episodes.unit.small}")
 
 
-def _mark_bands(axes: Any, end_s: float, unit: AxisUnit) -> None:
-    """Draw the settling bands as horizontal lines that are named at their right end, and label the axis in mm."""
+def _mark_bands(axes: Any, unit: AxisUnit) -> None:
+    """Draw the settling bands as horizontal lines that are named beside the plot, and label the axis in mm."""
     for name, text in unit.band_texts.items():
         height = 1e3 * unit.bands[name]
         axes.axhline(height, color=color("muted"), lw=0.7, ls="--")
-        axes.annotate(text, (end_s, height), ha="right", va="bottom", fontsize=7, color=color("muted"))
+        place = {"xycoords": ("axes fraction", "data"), "xytext": (3, 0), "textcoords": "offset points"}
+        axes.annotate(text, (1.0, height), va="center", fontsize=7, color=color("muted"), **place)
     axes.yaxis.set_major_formatter(lambda value, _: number(value))
     axes.minorticks_off()
 
 
-def _plot_voltages(axes: Any, episodes: Episodes, episode: int) -> None:
-    """Plot the voltages of the drives and their rated values."""
+def _plot_commands(axes: Any, episodes: Episodes, episode: int) -> None:
+    """Plot the commands of the drives and their rated values."""
     time_s, volts = episodes.time_s, episodes.volts[episode]
     period = (time_s[-1] - time_s[0]) / len(volts)
     edges = time_s[0] + period * np.arange(len(volts) + 1)
@@ -112,7 +113,7 @@ def _plot_voltages(axes: Any, episodes: Episodes, episode: int) -> None:
     for limit in {float(v) for v in episodes.rated}:
         axes.axhline(limit, color=color("muted"), lw=0.7, ls="--")
         axes.axhline(-limit, color=color("muted"), lw=0.7, ls="--")
-    axes.set(xlabel="time (s)", ylabel="voltage (V)")
+    axes.set(xlabel="time, s", ylabel=f"{episodes.command.label} (dashed: rated)")
     legend_above(axes)
 
 
@@ -123,13 +124,13 @@ def _point(position: NDArray[np.float64]) -> str:
 
 
 def episode_panels(name: str, episodes: Episodes, episode: int) -> list[Panel]:
-    """Describe the plots of an episode for the scorecard, with captions: tool path, distance over time, voltages."""
+    """Describe the plots of an episode for the scorecard, with captions: tool path, distance over time, commands."""
     start, goal = 1e3 * episodes.position[episode, 0], 1e3 * episodes.goal[episode, -1]
     final_mm = 1e3 * float(episodes.goal_error[episode, -1])
     small = episodes.unit.small
     route = f"from {_point(start)} {small}"
     route += f" to the goal at {_point(goal)} {small}" if episodes.contour is None else " along the path"
-    largest = float(np.abs(episodes.volts[episode]).max())
+    command, largest = episodes.command, float(np.abs(episodes.volts[episode]).max())
     return [
         Panel(
             f"{name}: tool path",
@@ -144,9 +145,9 @@ def episode_panels(name: str, episodes: Episodes, episode: int) -> list[Panel]:
             2.6,
         ),
         Panel(
-            f"{name}: voltages (dashed: rated)",
-            f"Voltages of the drives over time under {name}, at most {number(largest)} V.",
-            lambda a: _plot_voltages(a, episodes, episode),
+            f"{name}: {command.name}s",
+            f"Commands of the drives ({command.label}) over time under {name}, at most {number(largest)}.",
+            lambda a: _plot_commands(a, episodes, episode),
             2.6,
         ),
     ]
@@ -160,8 +161,8 @@ def distance_panel(recorded: Mapping[str, Episodes]) -> Panel:
         for name, episodes in recorded.items():
             error_mm = np.maximum(1e3 * episodes.goal_error[0], SMALLEST_ERROR_MM)
             axes.semilogy(episodes.time_s, error_mm, lw=1.2, label=name)
-        _mark_bands(axes, float(next(iter(recorded.values())).time_s[-1]), unit)
-        axes.set(xlabel="time (s)", ylabel=f"distance to the goal ({unit.small})")
+        _mark_bands(axes, unit)
+        axes.set(xlabel="time, s", ylabel=f"distance to the goal, {unit.small}")
         legend_above(axes)
 
     errors = {name: 1e3 * float(episodes.goal_error[0, -1]) for name, episodes in recorded.items()}

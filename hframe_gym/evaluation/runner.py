@@ -24,7 +24,7 @@ from ..files import write_text
 from ..machine import Machine
 from ..recordings import recorded_commands
 from .metrics import score_episodes, stored_bounds
-from .scenario import Episodes, Scenario, environments_of, make_controller
+from .scenario import Command, Episodes, Scenario, environments_of, make_controller
 
 SAMPLES_PER_PERIOD = 10
 MAX_SAMPLES = 200_000_000  # of all episodes together; a recorded sample of a planar machine takes 32 bytes
@@ -119,6 +119,7 @@ def _describe(scenario: Scenario) -> dict[str, Any]:
         "seed": scenario.seed,
         "sensors": sensors if isinstance(sensors, str) else repr(sensors),
         "drives": drives if isinstance(drives, str) else repr(drives),
+        "command": Command.of(scenario.declared_machine)._asdict(),
         "period_s": scenario.period,
     }
 
@@ -188,7 +189,8 @@ class _Recorder:
             travel = travel[-1:]
         time_s = self.sample_s * np.arange(samples, dtype=np.float64)
         known = energy if all(drive.command == "voltage" for drive in machine.drives) else None
-        return Episodes(time_s, position, goal, contour, volts, rated, known, peak, machine.axis_unit)
+        unit, command = machine.axis_unit, Command.of(machine)
+        return Episodes(time_s, position, goal, contour, volts, rated, known, peak, unit, command)
 
 
 class _Loads:

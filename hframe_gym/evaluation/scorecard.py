@@ -19,15 +19,15 @@ from .reported_scores import (
     unit_of_scores,
     unknown_bound_reasons,
 )
-from .scenario import Episodes
+from .scenario import Command, Episodes
 
 _FURTHER_METRICS = {  # column headings of the metrics that all tasks have
     **{f"overshoot_{unit.small}": f"overshoot, {unit.small}" for unit in AXIS_UNITS.values()},
     **{f"final_error_{unit.small}": f"error at the end, {unit.small}" for unit in AXIS_UNITS.values()},
     "delay_ms": "delay behind the goal, ms",
     "energy_J": "energy, J",
-    "voltage_variation": "voltage variation, V",
-    "saturation_share": "time at rated voltage, %",
+    "voltage_variation": "{command.name} variation, {command.unit}",
+    "saturation_share": "time at rated {command.name}, %",
     "peak_belt_force_N": "peak belt force, N",
 }
 _FACTORS = {"saturation_share": 100.0}
@@ -54,7 +54,7 @@ def write_scorecard(
     recorded, controllers = recorded or {}, scores["controllers"]
     reaches = all("settling_s" in score for score in controllers.values())
     known = (score["success"] for score in controllers.values() if "success" in score)
-    unit = unit_of_scores(next(known, ()))
+    unit, command = unit_of_scores(next(known, ())), Command(**scores.get("command", {}))
     verdict = _reach_verdict(scores, recorded, unit) if reaches else _track_verdict(scores, unit)
     all_warnings = list(dict.fromkeys([*scores.get("warnings", ()), *warnings]))
     worst = worst_move(recorded[verdict.best]) if verdict.best and verdict.best in recorded else ""
@@ -76,7 +76,8 @@ def write_scorecard(
         "bound_band": unit.band_texts[unit.bound_band],
         "small_unit": unit.small,
         "rows": [_row(name, score, reaches, unit) for name, score in controllers.items()],
-        "further": _further_metrics(controllers),
+        "further": _further_metrics(controllers, command),
+        "command": command,
         "panels": _panels(controllers, recorded, reaches, unit),
         "episodes": {name: _median_and_worst(name, episodes) for name, episodes in recorded.items()},
     }
@@ -213,14 +214,15 @@ def _path_keys(unit: AxisUnit) -> dict[str, str]:
     return {f"{error}_{unit.small}": f"{error} error" for error in PATH_ERRORS}
 
 
-def _further_metrics(controllers: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+def _further_metrics(controllers: Mapping[str, Mapping[str, Any]], command: Command) -> dict[str, Any]:
     """Return headings and rows of the table of the other metrics that any controller has."""
     keys = [key for key in _FURTHER_METRICS if any(key in score for score in controllers.values())]
     rows = {
         name: [_cell(score.get(key), ".3g", _FACTORS.get(key, 1.0)) for key in keys]
         for name, score in controllers.items()
     }
-    return {"headings": [_FURTHER_METRICS[key] for key in keys], "rows": rows}
+    headings = [_FURTHER_METRICS[key].format(command=command).removesuffix(", ") for key in keys]
+    return {"headings": headings, "rows": rows}
 
 
 def _panels(
@@ -231,6 +233,7 @@ def _panels(
 ) -> list[Panel]:
     """Return the plots that compare the controllers."""
     success = {name: score["success"] for name, score in controllers.items()}
+    distribution = [distribution_panel(recorded)] if recorded else []
     if not reaches:
         panels = [success_panel("Episodes whose contour error never exceeds a limit", success)]
         for key, title in _path_keys(unit).items():
@@ -241,9 +244,11 @@ def _panels(
     else:
         panels = [success_panel("Episodes that end within a band around the goal", success)]
         values = {name: settling_in(score, unit.bound_band) for name, score in controllers.items()}
-        if any(values.values()):
+        if not any(values.values()):
+            distribution = []  # nothing settles
+        else:
             panels.append(interval_panel(f"Settling time to {unit.band_texts[unit.bound_band]}", "s", values))
         ratios = {name: ratio_to_bounds(score) for name, score in controllers.items()}
         if any(ratios.values()):
             panels.append(interval_panel("Settling time / shortest possible time", "", ratios))
-    return panels + ([distribution_panel(recorded), distance_panel(recorded)] if recorded else [])
+    return panels + distribution + ([distance_panel(recorded)] if recorded else [])

@@ -25,6 +25,8 @@ from hframe_gym.evaluation import (
     score_episodes,
     write_scores,
 )
+from hframe_gym.evaluation.advice import assumptions
+from hframe_gym.evaluation.scenario import Command
 from hframe_gym.machine import BUILTIN_MACHINES
 
 pytestmark = pytest.mark.integration
@@ -94,6 +96,7 @@ def test_same_seed_gives_every_controller_the_same_episodes() -> None:
         "seed",
         "sensors",
         "drives",
+        "command",
         "period_s",
         "controllers",
     }
@@ -217,8 +220,25 @@ def test_a_missing_matplotlib_is_reported_with_its_extra(monkeypatch: pytest.Mon
 def test_one_axis_is_plotted_over_time() -> None:
     episodes = evaluate("pid", "axis", episodes=2, duration_s=0.3).episodes["pid"]
     axes = plot_episode(episodes).axes[0]
-    assert axes.get_xlabel() == "time (s)"
+    assert axes.get_xlabel() == "time, s"
     np.testing.assert_allclose(axes.lines[0].get_ydata(), 1e3 * episodes.position[0, :, 0])
+
+
+@pytest.mark.parametrize(
+    ("machine", "label"),
+    [("hframe", "voltage, V"), ("wheel", "voltage, V"), ("servo", "set point, rad")],
+)
+def test_commands_have_the_name_and_unit_of_the_drives(machine: str, label: str) -> None:
+    """A duty cycle is a voltage in simulations."""
+    assert Command.of(BUILTIN_MACHINES[machine]()).label == label
+
+
+def test_plots_and_scores_of_a_servo_have_set_points_instead_of_voltages() -> None:
+    evaluation = evaluate("set-point", "servo", episodes=2, duration_s=0.1)
+    assert evaluation.scores["command"] == {"name": "set point", "unit": "rad"}
+    axes = plot_episode(evaluation.episodes["set-point"]).axes
+    assert axes[2].get_ylabel() == "set point, rad (dashed: rated)"
+    assert assumptions(evaluation.scores)["Control period"].endswith("; set points are held in between")
 
 
 def test_an_evaluation_needs_a_controller() -> None:
