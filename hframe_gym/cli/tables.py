@@ -41,12 +41,12 @@ def identification_table(report: Mapping[str, Any], channels: Sequence[str]) -> 
     Returns:
         Table (rich) with one row per channel and a column for each machine: as declared, with refitted parameters, with
         the identified effects as well, and, if there is one, the plain fit of inertia and friction. An error is the
-        root mean square and, in parentheses, as a multiple of the sensor noise and in percent of the motion; or the
+        root mean square and, below it, a multiple of the sensor noise and a percentage of the motion; or the
         words "diverges" or "not measured". If the report contains it, a last row has the root mean square error of the
         drives' force divided by the root mean square of this force, %. Below the table: the force that the machines
         lack.
     """
-    title = "simulation error on held-out recordings: rms (x: multiple of the sensor noise, % of the motion)"
+    title = "simulation error on held-out recordings: rms, x: multiple of the sensor noise, % of the motion"
     lacking = [report[stage].get("missing_force_percent") for stage in ("declared", "before", "after")]
     forces = ", ".join("unknown" if force is None else f"{number(force)} %" for force in lacking)
     caption = (
@@ -101,13 +101,13 @@ def _force_cell(errors: Mapping[str, Any]) -> str:
 
 
 def _error_cell(channel: str, error: Mapping[str, Any]) -> str:
-    """Return an rms error in a readable unit, as a multiple of the noise and in percent of the motion."""
+    """Return an rms error in a readable unit, as a multiple of the noise and in percent of the motion, one a line."""
     from ..identification.report.units import readable_unit
 
     factor, unit = readable_unit(channel, error["rmse"])
     motion = error.get("percent_of_motion")
-    percent = "" if motion is None else f", {number(motion)} %"
-    return f"{number(factor * error['rmse'])} {unit}\n({number(error['noise_ratio'])}x{percent})"
+    percent = "" if motion is None else f"\n{number(motion)} %"
+    return f"{number(factor * error['rmse'])} {unit}\n{number(error['noise_ratio'])} x{percent}"
 
 
 def score_table(scores: Mapping[str, Any]) -> Table:

@@ -383,7 +383,7 @@ def _left_in_words(report: Mapping[str, Any]) -> list[str]:
 
 
 def _left_parts(report: Mapping[str, Any]) -> list[str]:
-    """Return the error that is left: in mm and multiples of the noise, and, if known, of the motion and the force."""
+    """Return the error that is left: the largest one in mm, all in multiples of the noise, of the motion, the force."""
     if report.get("left") is None:
         return []
     errors = report["after"]["held_out"]
@@ -391,7 +391,10 @@ def _left_parts(report: Mapping[str, Any]) -> list[str]:
         e["percent_of_motion"] for e in errors.values() if isinstance(e, dict) and e.get("percent_of_motion")
     ]
     force = report["after"].get("missing_force_percent")
-    parts = [f"{largest_position_error(errors)}, {number(report['left'])} times the sensors' noise"]
+    left = f"{number(report['left'])} times the sensors' noise"
+    channels = [e for e in errors.values() if isinstance(e, dict)]
+    of_all = f"; over all channels {left}" if len(channels) > 1 else f", {left}"
+    parts = [largest_position_error(errors) + of_all]
     if motions:
         parts.append(f"{number(max(motions))} % of the motion of the channel where that is most")
     if force:

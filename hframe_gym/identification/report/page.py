@@ -250,7 +250,7 @@ def _parameter_rows(machine: Machine, declared: Machine) -> list[dict[str, str]]
         rows.append(
             {
                 "name": name,
-                "declared": f"{declared.parameters[name]:.4g}" if name in declared.parameters else "",
+                "declared": f"{declared.parameters[name]:.5g}" if name in declared.parameters else "",
                 "value": f"{machine.parameters[name]:.5g}",
                 "std": f"{machine.uncertainty.std(name):.2g}",
                 "unit": machine.unit(name),

@@ -20,6 +20,18 @@ from tests.identification.report.axis_results import result_of
 from tests.identification.single_axis import AXIS, axis_result, axis_runs
 
 
+def test_a_multiple_of_the_noise_over_all_channels_is_not_stated_as_that_of_one() -> None:
+    errors = {c: {"rmse": 2e-5, "noise_ratio": 1.0, "percent_of_motion": 0.5} for c in ("x_m", "y_m")}
+
+    def sentence(channels: tuple[str, ...]) -> str:
+        held_out = {c: errors[c] for c in channels}
+        stages = {stage: {"held_out": held_out} for stage in ("declared", "before", "after")}
+        return verdict_sentence({"verdict": "no_effect", "effects": [], "left": 1.0, **stages}, channels)
+
+    assert "20 µm rms at x_m; over all channels 1 times the sensors' noise; 0.5 %" in sentence(("x_m", "y_m"))
+    assert "20 µm rms at x_m, 1 times the sensors' noise; 0.5 %" in sentence(("x_m",))
+
+
 def test_the_error_of_the_sentence_is_the_root_mean_square_over_the_channels() -> None:
     errors = {
         c: {"rmse": 1e-3, "noise_ratio": ratio} for c, ratio in (("x_m", 7.0), ("y_m", 1.0), ("z_m", None))

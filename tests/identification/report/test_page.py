@@ -284,5 +284,5 @@ def test_an_unexplained_error_is_stated_in_the_users_terms_with_a_hint(data: Dat
     assert report["before"]["missing_force_percent"] == pytest.approx(0.37)
     assert report["before"]["held_out"]["x_m"]["percent_of_motion"] == pytest.approx(2.1)
     table = identification_table(report, AXIS.output_channels)
-    assert list(table.columns[2].cells) == ["5 mm\n(250x, 2.1 %)"]
+    assert list(table.columns[2].cells) == ["5 mm\n250 x\n2.1 %"]
     assert "0.37 %" in str(table.caption)
