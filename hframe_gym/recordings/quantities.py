@@ -114,7 +114,17 @@ QUANTITIES: dict[str, Quantity] = {
         "a",
         {},
         (
-            *("speed", "velocity", "vel", "geschwindigkeit", "vitesse", "tacho", "tachometer", "rate"),
+            *(
+                "speed",
+                "velocity",
+                "vel",
+                "velo",
+                "geschwindigkeit",
+                "vitesse",
+                "tacho",
+                "tachometer",
+                "rate",
+            ),
             *("dot", "xdot", "ydot", "qdot", "phidot", "thetadot", "dphi", "dtheta"),
         ),
         "speed",

@@ -390,9 +390,13 @@ def _hold_inputs(
         begin = max(begin, int(np.argmax(has_value)))
         held_row = np.maximum.accumulate(np.where(has_value, np.arange(len(values)), 0))
         columns[channel] = values[held_row]
-        empty = f"{int(np.sum(~has_value))} of {len(values)} cells are empty"
-        remarks.append(f"{channel}: {empty}; the value before each is held")
+        count = int(np.sum(~has_value))
+        verb = "are" if count > 1 else "is"
+        remarks.append(
+            f"{channel}: {count} of {len(values)} cells {verb} empty; the value before each is held"
+        )
     if begin:
-        remarks.append(f"the first {begin} rows left out, an input has no value there yet")
+        first = f"{begin} rows are" if begin > 1 else "row is"
+        remarks.append(f"the first {first} left out, an input has no value there yet")
         return time_s[begin:], {channel: values[begin:] for channel, values in columns.items()}
     return time_s, columns

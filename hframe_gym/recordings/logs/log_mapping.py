@@ -430,10 +430,18 @@ class _LogMapping:
     def _proposed_headers(self, missing: Sequence[str], unused: Sequence[LogColumn]) -> dict[str, str]:
         """Propose the header of a column for each channel without one; "COLUMN" (`_NO_PROPOSAL`) where there is none.
 
-        Channels with the fewest candidates come first. If several channels compete for fewer columns, none of them gets
-        a proposal.
+        Channels with the fewest candidates come first. A column of the quantity of one channel is not proposed for
+        another one to which it would be converted. If several channels compete for fewer columns, none of them gets a
+        proposal.
         """
         candidates = {channel: self._candidates(channel, unused) for channel in missing}
+        alike = {
+            channel: [column for column in columns if column.meaning.family == self._family(channel)]
+            for channel, columns in candidates.items()
+        }
+        claimed = [column for columns in alike.values() for column in columns]
+        for channel, columns in candidates.items():
+            candidates[channel] = alike[channel] or [column for column in columns if column not in claimed]
         proposed: dict[str, LogColumn] = {}
         for channel in sorted(missing, key=lambda channel: len(candidates[channel])):
             free = [column for column in candidates[channel] if column not in proposed.values()]
@@ -455,7 +463,7 @@ class _LogMapping:
         possible = [column for column in unused if self._is_proposable(channel, column)]
         accepted, dimension = accepted_units(self.machine, channel), channel_dimension(self.machine, channel)
         with_unit = [column for column in possible if column.unit in accepted]
-        family = QUANTITIES[dimension].family or dimension
+        family = self._family(channel)
         of_family = [column for column in with_unit if column.meaning.family == family]
         named = [column for column in possible if column.meaning.quantity and column not in with_unit]
         named_so = [column for column in named if column.meaning.family in (family, "count")]
@@ -464,6 +472,11 @@ class _LogMapping:
         by_letter = [column for column in unknown if plain_name(column.name).startswith(letters)]
         only_one = unknown if len(unused) == 1 and channel != TIME else []
         return of_family or named_so or with_unit or named or by_letter or only_one
+
+    def _family(self, channel: str) -> str:
+        """Return the family of the quantity of a channel."""
+        dimension = channel_dimension(self.machine, channel)
+        return QUANTITIES[dimension].family or dimension
 
     def _is_proposable(self, channel: str, column: LogColumn) -> bool:
         """Return whether a column can be a channel by its quantity, perhaps after the user has stated its unit."""

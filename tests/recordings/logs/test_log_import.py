@@ -18,7 +18,7 @@ import pytest
 from scipy.io import savemat
 
 from hframe_gym.errors import InputError
-from hframe_gym.machine import BUILTIN_MACHINES, Machine
+from hframe_gym.machine import BUILTIN_MACHINES, Machine, Sensor
 from hframe_gym.recordings import (
     ImportSettings,
     MachineOptions,
@@ -254,7 +254,7 @@ def test_missing_outputs_stay_empty_and_missing_inputs_are_held(
     run = convert(path, hframe, lines=lines)
     assert np.isnan(run.outputs[149, 2])
     assert run.inputs[150, 1] == table["v2_V"][149]
-    assert "v2_V: 1 of 300 cells are empty; the value before each is held" in "\n".join(lines)
+    assert "v2_V: 1 of 300 cells is empty; the value before each is held" in "\n".join(lines)
 
 
 def test_several_rates_in_one_table_hold_inputs_and_leave_outputs_empty(
@@ -267,7 +267,7 @@ def test_several_rates_in_one_table_hold_inputs_and_leave_outputs_empty(
     path = in_text(lambda t: text_of(t).replace("nan", ""))(tmp_path, slow)
     lines: list[str] = []
     run = convert(path, hframe, lines=lines)
-    assert "the first 2 rows left out, an input has no value there yet" in "\n".join(lines)
+    assert "the first 2 rows are left out, an input has no value there yet" in "\n".join(lines)
     np.testing.assert_array_equal(run.time_s, table["time_s"][2:])
     np.testing.assert_array_equal(run.inputs[:, 0], np.repeat(table["v1_V"][2::5], 5)[:298])
     np.testing.assert_array_equal(run.outputs[::5, 2], table["x_m"][2::5])
@@ -1044,3 +1044,13 @@ def test_messages_name_the_way_for_a_voltage_at_a_bridge_and_for_a_distance_of_a
     settings = ImportSettings(MappingOptions({**columns, "wheel_rad": "x"}))
     with pytest.raises(InputError, match=message):
         import_logs(tmp_path / "log.csv", tmp_path / "runs", BUILTIN_MACHINES["wheel"](), settings)
+
+
+def test_a_speed_is_proposed_for_the_speed_and_not_for_the_position_beside_it(tmp_path: Path) -> None:
+    """A position may be an integrated speed, but not where the machine has a sensor of the speed as well."""
+    axis = BUILTIN_MACHINES["axis"]()
+    both = axis.replace(sensors=(*axis.sensors, Sensor("x_m_s", {"x": 1.0}, noise=0.0, kind="speed")))
+    path = tmp_path / "log.csv"
+    path.write_text("time_s,Input,Velo\n" + "".join(f"{k / 100},1,{k}\n" for k in range(30)))
+    with pytest.raises(InputError, match=r"--map x_m=COLUMN --map x_m_s=Velo "):
+        import_logs(path, tmp_path / "runs", both)
