@@ -118,6 +118,21 @@ def model_error_machines(results: dict[str, Any]) -> str:
     return markdown(["", "declared", "exact", "gain", "gain of the median", "moves that fail"], rows)
 
 
+@table("hand_over")
+def hand_over(results: dict[str, Any]) -> str:
+    """Format how fast moves are if another controller takes over near the goal, with both models."""
+    rows = []
+    for row in results["rows"]:
+        first, last = row["distance_mm"] == 0.0, row["distance_mm"] >= 1000.0
+        cells = [
+            f"{row[model][key][0]:.4f}" for key in ("near_s", "settling_s") for model in ("declared", "exact")
+        ]
+        name = "never" if first else "from the start" if last else f"{row['distance_mm']:g} mm"
+        rows.append([name, *cells])
+    head = [f"until {band}, {model} model" for band in ("5 mm", "0.2 mm") for model in ("declared", "exact")]
+    return markdown(["`pid` takes over", *head], rows)
+
+
 @table("gap_plants", source="gap")
 def gap_plants(results: dict[str, Any]) -> str:
     """Format what each plant of gap-v1 hides, what was identified, and settling times of two controllers."""
