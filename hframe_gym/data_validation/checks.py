@@ -300,7 +300,9 @@ def _unmeasured_outputs(recording: Recording, machine: Machine) -> list[Finding]
 
 def _silences(recording: Recording, machine: Machine) -> list[Finding]:
     """Report how long each channel of one run without outliers repeated a value because no new one came."""
-    removed = np.isfinite(recording.outputs) & np.isnan(without_silences(recording).outputs)  # (n, sensors)
+    removed = np.isfinite(recording.outputs) & np.isnan(
+        without_silences(recording, machine).outputs
+    )  # (n, sensors)
     findings = []
     for channel, values, rows in zip(machine.output_channels, recording.outputs.T, removed.T, strict=True):
         if rows.any():

@@ -61,7 +61,7 @@ def usable_run(
     unwrapped = without_input_noise(regular, machine, log)
     distinct = without_repetitions(unwrapped)
     plausible = without_outliers(distinct, machine)
-    measured = without_silences(plausible)
+    measured = without_silences(plausible, machine)
     rest = initial_rest(measured, machine)
     usable = without_moving_start(measured, machine, rest)
     if log is not None:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
+from ..machine import Machine
 from .quantization import exact_quantum
 from .recording import Recording
 
@@ -185,7 +186,7 @@ def without_repetitions(recording: Recording) -> Recording:
     return recording if unchanged else dataclasses.replace(recording, outputs=outputs)
 
 
-def without_silences(recording: Recording) -> Recording:
+def without_silences(recording: Recording, machine: Machine) -> Recording:
     """Copy a recording, with NaN (not measured) where a log repeats a value because the sensor sent no new one.
 
     A machine that stops and goes on leaves a rest by one small step. After a lost connection, the next value is where
@@ -196,6 +197,9 @@ def without_silences(recording: Recording) -> Recording:
     - its step is more than three times as large as each one before and after, as no quantization step is, at least half
       of what the slower of the speeds before and after makes of this time, and at most twice what the faster one makes.
 
+    A current or an acceleration jumps with the command and is constant at standstill, so that its sensor is never
+    silent by this rule.
+
     Args:
         recording: Run without outliers: a connection that returns may send its late values all at once.
 
@@ -203,7 +207,9 @@ def without_silences(recording: Recording) -> Recording:
         Copy; the same object if no sensor was silent.
     """
     outputs = recording.outputs.copy()
-    for values in outputs.T:
+    for sensor, values in zip(machine.sensors, outputs.T, strict=True):
+        if sensor.sensed.jumps:
+            continue
         measured = np.flatnonzero(np.isfinite(values))
         new = measured[np.append(True, np.diff(values[measured]) != 0.0)] if len(measured) else measured
         if len(new) < 2 * _NEIGHBORS:

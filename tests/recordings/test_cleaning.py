@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from hframe_gym.machine import BUILTIN_MACHINES, Sensor
 from hframe_gym.recordings import (
     Recording,
     repetitions,
@@ -16,6 +17,7 @@ from hframe_gym.recordings import (
 from tests.example_runs import example_runs
 
 X = 2  # column of x_m
+AXIS = BUILTIN_MACHINES["axis"]()
 
 
 @pytest.fixture
@@ -117,10 +119,21 @@ def test_values_that_are_repeated_while_a_connection_is_lost_are_not_measured() 
     x = 0.3 * np.maximum(time - 0.2, 0.0)
     x[200:280] = x[199]
     lost = Recording("run", time, np.ones((400, 1)), x[:, None])
-    assert np.flatnonzero(np.isnan(without_silences(lost).outputs)).tolist() == list(range(200, 280))
+    assert np.flatnonzero(np.isnan(without_silences(lost, AXIS).outputs)).tolist() == list(range(200, 280))
     empty = dataclasses.replace(lost, outputs=np.where(np.arange(400)[:, None] % 3, np.nan, lost.outputs))
-    found = np.isnan(without_silences(empty).outputs) & np.isfinite(empty.outputs)
+    found = np.isnan(without_silences(empty, AXIS).outputs) & np.isfinite(empty.outputs)
     assert np.flatnonzero(found).tolist() == list(range(204, 280, 3))
+
+
+def test_a_current_that_is_constant_at_standstill_and_jumps_with_the_command_is_not_silent() -> None:
+    """The same values of a position are those of a lost connection."""
+    time = np.arange(400) * 5e-3
+    values = 0.3 * np.maximum(time - 0.2, 0.0)
+    values[200:280] = values[199]
+    run = Recording("run", time, np.ones((400, 1)), values[:, None])
+    current = AXIS.replace(sensors=(Sensor("motor_A", {"motor": 1.0}, kind="current"),))
+    assert without_silences(run, current) is run
+    assert without_silences(run, AXIS) is not run
 
 
 def test_a_rest_before_a_step_of_the_command_is_not_silent() -> None:
@@ -130,7 +143,7 @@ def test_a_rest_before_a_step_of_the_command_is_not_silent() -> None:
     settling = 0.25 + 0.03 * (1.0 - np.exp(-(np.arange(60) - 30) / 5.0))
     x = np.where(np.arange(60) < 30, creep, settling)
     run = Recording("run", time, np.ones((60, 1)), x[:, None])
-    assert without_silences(run) is run
+    assert without_silences(run, AXIS) is run
 
 
 @pytest.mark.parametrize("quantum", [1e-6, 1e-2])
@@ -139,4 +152,4 @@ def test_a_machine_that_stops_and_goes_on_is_not_silent(quantum: float) -> None:
     travel = np.interp(time, [0.0, 0.2, 0.7, 1.2, 2.0], [0.0, 0.0, 0.2, 0.2, 0.4])
     x = np.rint(travel / quantum) * quantum
     stopping = Recording("run", time, np.ones((400, 1)), x[:, None])
-    assert without_silences(stopping) is stopping
+    assert without_silences(stopping, AXIS) is stopping
