@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -14,7 +15,7 @@ import pytest
 from hframe_gym.evaluation import Episodes, score_episodes, write_scorecard
 from hframe_gym.identification import write_result
 from hframe_gym.identification.report.page import build_report
-from hframe_gym.web_page import COLORS, Panel, number, panel_svg, save_panels
+from hframe_gym.web_page import COLORS, Panel, number, panel_svg, plot_style, save_panels
 from tests.browser import SCHEMES, WIDTHS, chromium, faults_of, open_page
 from tests.identification.report.axis_results import PLAN, STRIBECK, TABLE, result_of
 from tests.identification.single_axis import AXIS, axis_runs
@@ -308,6 +309,26 @@ def test_a_panel_has_a_label_and_identifiers_of_its_own() -> None:
 )
 def test_numbers_are_written_without_exponent_where_that_is_short(value: float, text: str) -> None:
     assert number(value) == text
+
+
+def test_numbers_below_a_plot_do_not_touch_each_other(tmp_path: Path) -> None:
+    """With the ticks that matplotlib chooses by itself, -0.075 and -0.050 do."""
+    import matplotlib
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    drawn: list[Any] = []
+
+    def draw(axes: Any) -> None:
+        axes.set(xlim=(-0.095, 0.08), xlabel="y, m", ylabel="mean error of y, mm")
+        drawn.append(axes)
+
+    save_panels([Panel("error", "", draw)] * 3, tmp_path / "plot.svg")
+    with matplotlib.rc_context(plot_style()):
+        FigureCanvasAgg(drawn[0].figure).draw()
+    low, high = drawn[0].get_xlim()
+    labels = [label for label in drawn[0].get_xticklabels() if low <= label.get_position()[0] <= high]
+    boxes = [label.get_window_extent() for label in labels]
+    assert min(after.x0 - before.x1 for before, after in itertools.pairwise(boxes)) > 5.0  # pixels
 
 
 def test_titles_in_picture_files_are_not_cut_off(tmp_path: Path) -> None:

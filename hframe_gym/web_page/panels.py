@@ -17,6 +17,9 @@ NEED = "reports need more packages"
 PANEL_WIDTH = 3.6  # in; 346 px, so that text keeps its size on a phone
 TITLE_CHARACTERS = 44  # of a line of a title in a picture file, as many as a panel is wide
 MAX_COLUMNS = 3  # panels beside each other in a picture file
+MAX_TICKS = (
+    6  # intervals between the ticks of a horizontal axis; eight numbers of six characters fill a panel
+)
 
 
 class Panel(NamedTuple):
@@ -85,7 +88,9 @@ def panel_svg(panel: Panel, prefix: str) -> str:
         from matplotlib.figure import Figure
     with matplotlib.rc_context(plot_style() | {"svg.hashsalt": prefix}):
         figure = Figure(figsize=(PANEL_WIDTH, panel.height), layout="constrained")
-        panel.draw(figure.subplots())
+        axes = figure.subplots()
+        panel.draw(axes)
+        _limit_ticks(axes)
         _fix_layout(figure)
         buffer = StringIO()
         figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
@@ -125,6 +130,7 @@ def save_panels(panels: Sequence[Panel], path: Path) -> None:
         grid = figure.subplots(rows, columns, squeeze=False).ravel()
         for axes, panel in zip(grid, panels, strict=False):
             panel.draw(axes)
+            _limit_ticks(axes)
             title = textwrap.fill(panel.title, TITLE_CHARACTERS)
             axes.set_title(title, loc="left", pad=22 if axes.get_legend() else 6)
         for axes in grid[len(panels) :]:
@@ -132,6 +138,15 @@ def save_panels(panels: Sequence[Panel], path: Path) -> None:
         _fix_layout(figure)
         with atomic_file(path) as file:
             figure.savefig(file, dpi=120, format=path.suffix[1:])
+
+
+def _limit_ticks(axes: Any) -> None:
+    """Choose so few ticks on a linear horizontal axis that numbers such as -0.075 do not touch each other."""
+    from matplotlib.ticker import AutoLocator
+
+    locator = axes.xaxis.get_major_locator()
+    if isinstance(locator, AutoLocator):
+        locator.set_params(nbins=MAX_TICKS)
 
 
 def _fix_layout(figure: Any) -> None:

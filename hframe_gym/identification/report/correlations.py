@@ -69,7 +69,7 @@ class ErrorCorrelations(NamedTuple):
             for role, (name, correlations) in zip(SERIES, self.values.items(), strict=False):
                 start = 1 if name == "itself" else 0  # at lag 0, it is 1
                 axes.plot(self.lag_s[start:], correlations[start:], color=color(role), lw=1.1, label=name)
-            axes.set(xlabel="time by which the error is later, s", ylabel="correlation with")
+            axes.set(xlabel="time by which the error is later, s", ylabel="correlation of the error with")
             axes.margins(x=0.01)
             legend_above(axes)
 
