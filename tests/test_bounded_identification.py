@@ -50,6 +50,7 @@ def identify(folder: Path, out: Path, *options: str) -> tuple[int, str]:
     return result.exit_code, result.stdout
 
 
+@pytest.mark.usefixtures("without_drawing")
 def test_a_budget_of_zero_only_refits_and_says_so(limited: Path, tmp_path: Path) -> None:
     code, printed = identify(limited, tmp_path, "--budget", "0")
     assert code == 0
@@ -73,7 +74,7 @@ def interruptible() -> Iterator[None]:
     signal.signal(signal.SIGINT, previous)
 
 
-@pytest.mark.usefixtures("interruptible")
+@pytest.mark.usefixtures("interruptible", "without_drawing")
 def test_an_interrupted_search_writes_what_it_found(
     limited: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -148,7 +148,7 @@ def simulate_batch(
     inputs, force, measurements = _series(inputs), _series(extra_force), _series(measured)
     batch = max(map(len, (inputs, parameters, first_states, force, measurements)))
     first_states, parameters = _one_row_each(first_states, batch), _one_row_each(parameters, batch)
-    time = np.ascontiguousarray(time_s, float)
+    time = _plain(time_s)
     force = np.ascontiguousarray(force / radii) if len(force) else np.zeros((1, len(time), count))
     travel_gains = (
         np.zeros((2 * count, len(machine.sensors))) if gains is None else gains * to_travel[:, None]
@@ -190,7 +190,12 @@ def _series(values: Array | None) -> Array:
     """Return values over samples with a batch axis, shape (1 or B, N, k); none, shape (0, 0, 0), for None."""
     if values is None:
         return np.zeros((0, 0, 0))
-    return np.ascontiguousarray(values if np.ndim(values) == 3 else np.asarray(values)[None], float)
+    return _plain(values if np.ndim(values) == 3 else np.asarray(values)[None])
+
+
+def _plain(values: Array) -> Array:
+    """Return values as contiguous float64 that may be written; read-only ones would be compiled for once more."""
+    return np.require(values, float, ["C", "W"])
 
 
 def _one_row_each(values: Array, batch: int) -> Array:

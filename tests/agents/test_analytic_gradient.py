@@ -198,7 +198,7 @@ def test_a_short_training_reaches_the_goal_and_resumes(tmp_path, monkeypatch):
     monkeypatch.setattr("hframe_gym.agents.training.EVALUATION_EPISODES", 32)
     recipe = load_recipe("apg", "reach")
     recipe = replace(recipe, env={**recipe.env, "num_envs": 64})
-    card = train(recipe, steps=100_000, out=tmp_path, log=lambda line: None)
+    card = train(recipe, steps=64_000, out=tmp_path, log=lambda line: None)
     assert card["curve"][0]["success_1mm"] < 0.1
     assert card["curve"][-1]["success_1mm"] > 0.5
     agent = Agent.load(tmp_path)

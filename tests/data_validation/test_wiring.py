@@ -97,8 +97,8 @@ def test_degrees_are_never_suspected_in_a_column_in_meters(
 
 
 def test_a_single_run_with_a_wrong_sign_is_named(runs: list[Recording], hframe: Machine) -> None:
-    one = [*runs[:4], *with_column(runs[4:5], X, lambda y: -y), *runs[5:]]
-    assert faults(check_before_fit(one, hframe)) == [f"fault: run_05: x_m has the wrong sign: {REMEDY}"]
+    one = [*runs[:2], *with_column(runs[2:3], X, lambda y: -y), *runs[3:]]
+    assert faults(check_before_fit(one, hframe)) == [f"fault: run_03: x_m has the wrong sign: {REMEDY}"]
 
 
 def test_a_machine_that_hardly_moves_as_simulated_has_no_certain_fault(hframe: Machine) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from hframe_gym.dynamics import NotFiniteError, rollout, simulate, simulate_batch
+from hframe_gym.dynamics.codegen import time_loops
 from hframe_gym.effects import EFFECTS
 from hframe_gym.errors import InputError
 from hframe_gym.machine import BUILTIN_MACHINES, AppliedEffect, Machine, rest_state
@@ -205,3 +206,16 @@ def test_a_sensor_delay_is_exact_at_uneven_sampling(delay: float, hframe: Machin
     expected = undelayed.outputs[np.searchsorted(every_time, delayed_times)]
     np.testing.assert_allclose(delayed.outputs[1], expected[1], atol=5e-4)  # linear interpolation
     np.testing.assert_allclose(delayed.outputs[2:], expected[2:], atol=1e-4)
+
+
+def test_read_only_recordings_are_simulated_by_the_same_compiled_code(axis: Machine) -> None:
+    """To Numba, a read-only array is of another type: each combination would take seconds of compilation."""
+    series = (TIME, np.ones((401, 1)), np.zeros((401, 1)))
+    gains = np.zeros((2, 1))
+    simulate_batch(axis, series[0], series[1], measured=series[2], gains=gains)
+    compiled = len(time_loops.rollout.signatures)
+    for k in range(3):
+        time_s, inputs, measured = (values.copy() for values in series)
+        (time_s, inputs, measured)[k].setflags(write=False)
+        simulate_batch(axis, time_s, inputs, measured=measured, gains=gains)
+    assert len(time_loops.rollout.signatures) == compiled
