@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..dynamics import Equations, linearize
+from ..dynamics.physics.linearization import evaluate_beside_rest
 from ..machine import AppliedEffect, Machine
 
 Complex = NDArray[np.complex128]
@@ -97,8 +98,8 @@ def linear_model(machine: Machine, position: Array) -> LinearModel:
     added, readings = (
         of_effects - plain
         for of_effects, plain in zip(
-            _evaluated(with_effects, position, points, n),
-            _evaluated(without, position, points, n),
+            evaluate_beside_rest(with_effects, position, points),
+            evaluate_beside_rest(without, position, points),
             strict=True,
         )
     )
@@ -189,24 +190,6 @@ def axis_modes(machine: Machine, position: Array) -> dict[str, Mode]:
         if leading is not None and leading not in found:
             found[leading] = mode
     return found
-
-
-def _evaluated(equations: Equations, position: Array, points: Array, n: int) -> tuple[Array, Array]:
-    """Return accelerations (points, n), m/s^2 or rad/s^2, and sensors' readings (points, sensors) beside rest.
-
-    Points are rows with deviations of n positions and n velocities, m or rad and per s, and with voltages, V.
-    """
-    point = equations.point(position + points[:, :n], points[:, n : 2 * n])
-    accelerations = equations.accelerations(point, list(points[:, 2 * n :].T), np.zeros_like)
-    in_units = [a * equations.per_radius(i) for i, a in enumerate(accelerations)]
-    voltages = equations.motor_voltages(list(points[:, 2 * n :].T))
-    currents = [equations.current(j, point, voltages) for j in range(len(voltages))]
-    positions, velocities = (position + points[:, :n]).T, points[:, n : 2 * n].T
-    readings = equations.sensor_readings(list(positions), list(velocities), in_units, currents)
-    return tuple(  # type: ignore[return-value]
-        np.array([np.broadcast_to(value, len(points)) for value in values]).reshape(-1, len(points)).T
-        for values in (in_units, readings)
-    )
 
 
 def _without_dry_friction(machine: Machine, effects: tuple[AppliedEffect, ...]) -> Machine:

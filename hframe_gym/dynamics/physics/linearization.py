@@ -10,10 +10,10 @@ References:
 from __future__ import annotations
 
 import dataclasses
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from ...arrays import Array
 from ...machine import Machine
@@ -87,22 +87,40 @@ def linearize(machine: Machine, position: ArrayLike | None = None) -> StateSpace
     count, drives = len(q), len(machine.drives)
     # One row per argument of the equations of motion: a step of each position, velocity and voltage in turn.
     steps = 1j * _STEP * np.eye(2 * count + drives)
-    point = equations.point(q + steps[:, :count], steps[:, count : 2 * count])
-    voltages = list(steps[:, 2 * count :].T)
-    # Direction 0: no Coulomb friction.
-    accelerations = equations.accelerations(point, voltages, lambda speed: 0.0)
-    per_step = [a * equations.per_radius(i) for i, a in enumerate(accelerations)]  # m/s^2 or rad/s^2
-    derivatives = np.array(per_step).imag / _STEP  # (coordinates, 2 * coordinates + drives)
+    # (coordinates or sensors, 2 * coordinates + drives)
+    derivatives, outputs = (v.T.imag / _STEP for v in evaluate_beside_rest(equations, q, steps))
     # The derivatives of the positions are the velocities.
     rates = np.hstack([np.zeros((count, count)), np.eye(count)])
     A = np.vstack([rates, derivatives[:, : 2 * count]])
     B = np.vstack([np.zeros((count, drives)), derivatives[:, 2 * count :]])
-    positions, velocities = (q + steps[:, :count]).T, steps[:, count : 2 * count].T
-    motor_voltages = equations.motor_voltages(voltages)
-    currents = [equations.current(j, point, motor_voltages) for j in range(drives)]
-    readings = equations.sensor_readings(list(positions), list(velocities), per_step, currents)
-    outputs = np.array(readings).imag / _STEP
     return StateSpace(A, B, outputs[:, : 2 * count], outputs[:, 2 * count :])
+
+
+def evaluate_beside_rest(
+    equations: Equations, position: Array, deviations: NDArray[Any]
+) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Evaluate the equations, without Coulomb friction, at points beside rest.
+
+    Args:
+        position: Position of every coordinate at rest, m or rad, shape (n,).
+        deviations: Deviations of n positions and n velocities, m or rad and per s, and voltages, V, real or complex,
+            shape (rows, 2 n + drives).
+
+    Returns:
+        Accelerations, m/s^2 or rad/s^2, shape (rows, n), and sensors' readings, shape (rows, sensors).
+    """
+    n, count = len(position), len(deviations)
+    positions, velocities = position + deviations[:, :n], deviations[:, n : 2 * n]
+    point, voltages = equations.point(positions, velocities), list(deviations[:, 2 * n :].T)
+    accelerations = equations.accelerations(point, voltages, np.zeros_like)
+    in_units = [a * equations.per_radius(i) for i, a in enumerate(accelerations)]
+    motor_voltages = equations.motor_voltages(voltages)
+    currents = [equations.current(j, point, motor_voltages) for j in range(len(voltages))]
+    readings = equations.sensor_readings(list(positions.T), list(velocities.T), in_units, currents)
+    return tuple(  # type: ignore[return-value]
+        np.array([np.broadcast_to(value, count) for value in values]).reshape(-1, count).T
+        for values in (in_units, readings)
+    )
 
 
 def mode_frequencies(machine: Machine, position: ArrayLike | None = None) -> Array:
