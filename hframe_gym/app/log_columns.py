@@ -142,9 +142,10 @@ def view_log(path: Path, machine: Machine, options: MappingOptions) -> LogView:
             unit = f", {column.unit}" if column.unit else ""
             curves.append(Curve(column.header, f"not used{unit}", time, raw, used=False))
             continue
-        remark = f" ({source.remark})" if source.remark else ""
         held = source.channel in machine.input_channels
         drawn = raw if source.integrate else source.conversion.apply(raw)
+        converted = "" if np.array_equal(drawn, raw, equal_nan=True) else ", drawn converted"
+        remark = f" ({source.remark}{converted})" if source.remark else ""
         curves.append(Curve(column.header, f"\u2192 {source.channel}{remark}", time, drawn, held))
     return LogView(log, curves, sources, problem, has_time)
 

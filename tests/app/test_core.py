@@ -159,7 +159,7 @@ def test_columns_of_a_log_are_shown_as_what_the_import_takes_them_for(tmp_path: 
     notes = {curve.name: curve.note for curve in view.curves}
     assert notes == {
         "Sollspannung [V]": "→ v_V",
-        "Weg [mm]": "→ x_m (mm to m)",
+        "Weg [mm]": "→ x_m (mm to m, drawn converted)",
         "Temperatur [°C]": "not used, degC",
     }
     position = next(curve for curve in view.curves if curve.name == "Weg [mm]")
