@@ -25,7 +25,7 @@ IN_RESULTS = (
     "env_bits",
     "env_soak",
     "identification examples all",
-    "random_rigs --seed 20271127 --count 30",
+    "random_rigs --seed 20271133 --count 30",
     "random_rigs --closed-loop --seed 20271132 --count 40",
     "public_axes",
     "closed_loop_rigs",

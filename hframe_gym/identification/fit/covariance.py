@@ -56,7 +56,7 @@ class _RunPart(NamedTuple):
     delay_score: float
 
 
-def with_uncertainty(fitted: Fit, data: Dataset) -> Machine:
+def with_uncertainty(fitted: Fit, data: Dataset, *, indicated_delay: bool = True) -> Machine:
     """Estimate the covariance of the fitted parameters and attach it to the machine.
 
     The covariance is the sum of three parts:
@@ -79,6 +79,7 @@ def with_uncertainty(fitted: Fit, data: Dataset) -> Machine:
     Args:
         fitted: Fit of k parameters: machine, parameter values and cost.
         data: Runs that were fitted.
+        indicated_delay: Whether d counts. It does not where the question is whether inputs act later than recorded.
 
     Returns:
         The fitted machine; its `uncertainty` holds the covariance of the k free parameters, SI, shape (k, k). It is
@@ -122,7 +123,7 @@ def with_uncertainty(fitted: Fit, data: Dataset) -> Machine:
     of_delay = (
         directions @ inverse @ np.sum([part.delay_products for part in parts], axis=0)
     )  # per sampling period
-    delay_variance = DELAY_STD**2 + _estimated_delay(parts, inverse) ** 2
+    delay_variance = DELAY_STD**2 + (_estimated_delay(parts, inverse) ** 2 if indicated_delay else 0.0)
     covariance += delay_variance * np.outer(of_delay, of_delay)
     covariance += np.diag(np.where([f.switch for f in fitted.free], np.diag(directions), 0.0) ** 2)
     return _with_covariance(fitted, covariance)

@@ -63,7 +63,7 @@ def with_input_timing(
     after, selected = outcome.after, outcome.selected
     wide = _RATE / outcome.data.period
     tried = selected and not outcome.explained and after.bandwidth == SEARCH_BANDWIDTH < wide
-    if not tried or any(_is_timing(e.definition) for e in after.machine.effects):
+    if not tried or any(is_timing(e.definition) for e in after.machine.effects):
         return outcome
     data = refine_dataset(outcome.data, after.machine)
     current = continue_fit(after, data, wide)
@@ -98,7 +98,7 @@ def with_input_timing(
     return outcome._replace(after=extended, selected=chosen)
 
 
-def _is_timing(effect: Effect) -> bool:
+def is_timing(effect: Effect) -> bool:
     """Return whether an effect delays the voltages or lets the currents lag behind them.
 
     The current that lags is the state itself; heat or a sagging supply change the current that follows at once.
@@ -111,7 +111,7 @@ def _trials(current: Fit, data: Dataset) -> Iterator[Fit]:
     """Fit each delay and lag of the library that promises to reduce the error, once per component."""
     state = SearchState.of(current, data)
     tried: set[str] = set()
-    for scored in screen(current, [c for c in candidates(state) if _is_timing(c.effect)], data):
+    for scored in screen(current, [c for c in candidates(state) if is_timing(c.effect)], data):
         if scored.gain > 0.0 and scored.candidate.label not in tried:
             tried.add(scored.candidate.label)
             yield fit_with_candidate(current, scored, state.scales, data)

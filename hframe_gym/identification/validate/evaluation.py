@@ -38,6 +38,7 @@ from ..predict.start_uncertainty import prediction_residuals
 from ..predict.voltage_errors import simulation_error, with_voltage_errors
 from ..propose.dependences import are_causes, rank_dependences
 from ..propose.trial_fits import without_effect
+from ..search.input_timing import is_timing
 from ..search.outcome import SearchOutcome, with_removed, without_names
 from .machine_errors import ModelEvaluation, PredictionErrors, evaluate_held_out, with_encoder_zeros
 
@@ -45,7 +46,8 @@ from .machine_errors import ModelEvaluation, PredictionErrors, evaluate_held_out
 def with_certain_effects(outcome: SearchOutcome, criteria: SelectionCriteria, log: Log) -> SearchOutcome:
     """Remove the effects that may as well be absent, given the covariance of the fitted parameters.
 
-    The least certain effect is removed first; the others may be certain without it.
+    The least certain effect is removed first; the others may be certain without it. That inputs may act later than
+    recorded is no doubt about a delay or lag of the drives: it is what such an effect says.
 
     Args:
         outcome: Outcome of a search, after the held-out runs have removed effects.
@@ -55,9 +57,12 @@ def with_certain_effects(outcome: SearchOutcome, criteria: SelectionCriteria, lo
     while outcome.selected:
         data = refine_dataset(outcome.data, outcome.after.machine)
         machine = with_uncertainty(outcome.after, data)
+        of_timing = machine
+        if any(is_timing(s.effect.definition) for s in outcome.selected):
+            of_timing = with_uncertainty(outcome.after, data, indicated_delay=False)
         doubts: list[tuple[float, SelectedEffect, str]] = []
         for s in outcome.selected:
-            found = sizes(s.effect, machine)
+            found = sizes(s.effect, of_timing if is_timing(s.effect.definition) else machine)
             if reason := uncertain_size(found, criteria):
                 doubts.append((max(abs(size.value) / size.std for size in found), s, reason))
         for _, uncertain, reason in sorted(doubts, key=lambda doubt: doubt[0]):

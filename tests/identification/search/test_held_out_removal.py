@@ -22,7 +22,7 @@ from hframe_gym.identification.evidence.held_out import (
     held_out_gain,
     worsens_simulation,
 )
-from hframe_gym.identification.predict.prediction import SIMULATION
+from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH, SIMULATION
 from hframe_gym.identification.propose.trial_fits import without_effect
 from hframe_gym.identification.search.checked_search import _contradicting_runs, without_unconfirmed
 from hframe_gym.identification.search.outcome import SearchOutcome
@@ -33,15 +33,15 @@ from hframe_gym.recordings import Recording
 NOISE = 20e-6  # m
 
 
-def recorded(machine: Machine, seed: int) -> Recording:
-    """Return a noisy recording of a moving axis."""
+def recorded(machine: Machine, seed: int, noise: float = NOISE) -> Recording:
+    """Return a recording of a moving axis with noise of a standard deviation, m."""
     rng = np.random.default_rng(seed)
     time_s = np.arange(1000) * 1e-3
     inputs = np.where(time_s > 0.1, 1.5 * np.sin((8 + seed) * time_s) + 0.7 * np.sin(31 * time_s), 0.0)[
         :, None
     ]
-    noise = rng.normal(0.0, NOISE, (len(time_s), 1))
-    return Recording(f"run_{seed}", time_s, inputs, machine.simulate(time_s, inputs).outputs + noise)
+    errors = rng.normal(0.0, noise, (len(time_s), 1))
+    return Recording(f"run_{seed}", time_s, inputs, machine.simulate(time_s, inputs).outputs + errors)
 
 
 def outcome_with_force(
@@ -87,6 +87,23 @@ def test_an_effect_whose_size_is_not_certain_in_the_end_is_removed(
         assert certain.after is before
         assert certain.verdict == "no_effect"
         assert certain.considered[0].reason.startswith("is not certain to exist: the final fit gives size = ")
+
+
+@pytest.mark.parametrize(("lag", "delay", "kept"), [(2e-4, 1e-3, True), (0.0, 0.0, False)])
+def test_inputs_that_act_later_are_no_doubt_about_a_lag(
+    axis: Machine, lag: float, delay: float, kept: bool
+) -> None:
+    """The residual of a lag that stands for a delay as well indicates a delay: no doubt that something is late."""
+    timing = EFFECTS["electrical_lag"].at("motor", tau=lag), EFFECTS["input_delay"].at("drives", d=delay)
+    late = axis.with_effects(*(timing if lag else ()))
+    data = prepare([recorded(late, seed, noise=2e-8) for seed in (0, 2)], axis)
+    before = fit(axis, default_free_parameters(axis), data, SEARCH_BANDWIDTH)
+    machine = axis.with_effects(EFFECTS["electrical_lag"].at("motor", tau=2e-4))
+    after = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
+    selected = SelectedEffect(machine.effects[0], 1.0, axis).with_values(after.machine)
+    outcome = SearchOutcome(before, False, True, "effect_found", after, (selected,), (), data)
+    certain = with_certain_effects(outcome, SelectionCriteria(), lambda line: None)
+    assert bool(certain.selected) == kept
 
 
 def test_an_effect_that_held_out_runs_confirm_stays(axis: Machine) -> None:

@@ -85,7 +85,7 @@ def test_a_delay_that_the_observer_hides_is_added(script: Script) -> None:
 
 def test_delays_and_lags_of_the_library() -> None:
     """Not what changes the current slowly, such as heat."""
-    timing = {name for name, effect in EFFECTS.items() if input_timing._is_timing(effect)}
+    timing = {name for name, effect in EFFECTS.items() if input_timing.is_timing(effect)}
     assert timing == {"input_delay", "electrical_lag"}
 
 
