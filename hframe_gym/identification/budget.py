@@ -35,9 +35,8 @@ LAST_STAGE_END = (
 # Part of the budget for the plain fit, at most. It must be delivered, because no machine may be worse. With 15 % of
 # 30 s, that of a position drive had no weight, and left 24.6 instead of 9.0 times the noise on unseen runs.
 PLAIN_FIT_PART = 0.3
-_LARGEST_RESERVE = (
-    0.5  # of the budget, for what follows the last stage; without a search, it would say little
-)
+# Part of the budget for what follows the last stage, at most; without a search, it would say little.
+_LARGEST_RESERVE = 0.5
 # Least part of a normal session that is fitted, however small the budget: two runs of 5 s of a stage.
 _LEAST_SESSION_PART = 0.25
 # Part of the budget for each stage after the search. In complete identifications, tests and final fits took 5 to 20 %;

@@ -83,7 +83,7 @@ def errors_by_channel(
             and motion. Default: without this ratio.
 
     Returns:
-        Errors by name of the output channel, m or rad, and dimensionless relative to noise and motion; None for a
+        Errors by name of the output channel, in its unit, and dimensionless relative to noise and motion; None for a
         channel without measurements.
     """
     error = np.concatenate(by_run)
