@@ -18,16 +18,21 @@ import numpy as np
 
 from ...errors import InputError
 from ...files import write_text
-from ...machine import AppliedEffect, Effect, EffectParameter, Machine
+from ...machine import UNITS, AppliedEffect, CoordinateKind, Effect, EffectParameter, Machine
 from ..smooth_table import HOOK_OF_KIND
 from .regression import Formula
+from .terms import ShapeRole
 
-_LETTERS = "ABC"
+_LETTERS = "ABC"  # Names of the amplitudes of the first, second and third term.
+# Arguments of an effect's functions by the variable of the site that they hold; "u" holds any other variable.
 _ARGUMENT = {"position": "q", "velocity": "v", "time": "t"}
-_WIDTH_FACTORS = (0.5, 1.0, 2.0)
+_WIDTH_FACTORS = (0.5, 1.0, 2.0)  # Times the identified width: values at which a search starts.
 _CENTERS = 4  # Values over the range of the variable at which a search starts, besides the identified one.
-_LARGE = 1e6
+_LARGE = 1e6  # SI; bound of parameters without a natural one.
+# Scale of an amplitude whose unit has a typical value on a machine, in multiples of that value.
+_TYPICAL_SCALE = 0.3
 _LINE = 120  # Largest length of a line of code.
+# Functions of `elementwise` that a formula may use; the file imports those that it does.
 _FUNCTIONS = ("absolute", "cos", "exp", "maximum", "sin", "sqrt")
 _REGISTRATION = """
 # Delete this line and the import of register_effect where the file moves into the folder hframe_gym/effects.
@@ -42,6 +47,8 @@ class FormulaEffect:
     Attributes:
         name: Name of the new effect, a Python identifier.
         formula: The formula with its fitted parameters.
+        table: The table that it replaces, at a coordinate.
+        machine: Machine with this table.
         notes: Sentences about the origin and the accuracy, for the docstring of the file.
     """
 
@@ -90,7 +97,7 @@ class FormulaEffect:
 
     @property
     def _hook(self) -> str:
-        """Hook of the effect: "force" or "coulomb"."""
+        """Function of an effect that the formula takes the place of: "force" or "coulomb", the Coulomb friction."""
         return HOOK_OF_KIND[self.table.name.partition("[")[0]]
 
     @property
@@ -106,7 +113,7 @@ class FormulaEffect:
         return _ARGUMENT.get(variable, "u") if coordinate in ("", self.table.site) else "u"
 
     @property
-    def _kind(self) -> str:
+    def _kind(self) -> CoordinateKind:
         """Kind of the site's coordinate, "linear" or "rotary"."""
         return self.machine.coordinate(self.table.site).kind
 
@@ -137,21 +144,23 @@ class FormulaEffect:
             for name, power in zip(amplitudes, term.powers, strict=True):
                 value = next(values)
                 unit = self._amplitude_unit(power)
-                scale = 0.3 if unit.isalpha() else max(_rounded(abs(value)), 1e-6)
+                scale = _TYPICAL_SCALE if unit in UNITS[self._kind] else max(_rounded(abs(value)), 1e-6)
                 yield EffectParameter(name, unit, -_LARGE, _LARGE, scale=scale, role="amplitude"), value
-            for role, value in zip(term.shapes, shapes, strict=True):
-                yield (
-                    self._shape_parameter(
-                        names[role], role, value, dict(zip(term.shapes, shapes, strict=True))
-                    ),
-                    value,
-                )
+            by_role = dict(zip(term.shapes, shapes, strict=True))
+            for role, value in by_role.items():
+                yield self._shape_parameter(names[role], role, by_role), value
 
     def _shape_parameter(
-        self, name: str, role: str, value: float, shapes: Mapping[str, float]
+        self, name: str, role: ShapeRole, shapes: Mapping[ShapeRole, float]
     ) -> EffectParameter:
-        """Return the declaration of a shape parameter with starting values for a search."""
-        unit = self._shape_unit()
+        """Return the declaration of a shape parameter with starting values for a search.
+
+        Args:
+            name: Name of the parameter.
+            role: What it is in its term: "center", "width" or "period", for example.
+            shapes: Fitted values of all shape parameters of the term by role, SI.
+        """
+        unit, value = self._shape_unit(), shapes[role]
         if role == "period" and self._argument == "q":
             return EffectParameter(name, unit, 1e-6, _LARGE, scale=0.1, role="period")
         if role == "center":
@@ -166,7 +175,7 @@ class FormulaEffect:
         return EffectParameter(name, unit, lower, _LARGE, scale, tuple(map(_rounded, grid)))
 
     def _variable_unit(self) -> tuple[str, str]:
-        """Return the unit of the variable, and its key in `machine.UNITS` where it has the unit of the site."""
+        """Return the unit of the variable; and "position" or "speed" where the site has the same unit, else ""."""
         variable, coordinate = self._variable
         if variable == "time":
             return "s", ""
@@ -176,7 +185,7 @@ class FormulaEffect:
         return (f"{unit}/s" if key == "speed" else unit), (key if kind == self._kind else "")
 
     def _shape_unit(self) -> str:
-        """Return the unit of a shape parameter, or a key for it.
+        """Return the unit of a shape parameter, or its key in `machine.UNITS`.
 
         Starting values are relative to the typical value of the unit on the machine. The unit has none here, so that
         they are absolute; "m" alone would be the extension of belts.
@@ -185,13 +194,13 @@ class FormulaEffect:
         return "absolute position" if key == "position" else unit
 
     def _amplitude_unit(self, power: float) -> str:
-        """Return the unit, or its key, of an amplitude whose column is a power of the variable."""
+        """Return the unit of an amplitude that multiplies a power of the variable, or its key in `machine.UNITS`."""
         unit, key = self._variable_unit()
-        force = "N" if self._kind == "linear" else "Nm"
-        known = {"position": {1: "stiffness"}, "speed": {1: "viscous", 2: "drag"}}.get(key, {})
         if power == 0:
             return "force"
-        return known.get(int(power), "") * (power == int(power)) or f"{force}/({unit})^{power:g}"
+        known = {("position", 1.0): "stiffness", ("speed", 1.0): "viscous", ("speed", 2.0): "drag"}
+        force = "N" if self._kind == "linear" else "Nm"
+        return known.get((key, power), f"{force}/({unit})^{power:g}")
 
     def _definition_source(self) -> str:
         """Return the text of the file without the registration."""
@@ -200,7 +209,7 @@ class FormulaEffect:
         body = "\n\n\n".join(inspect.getsource(helper).rstrip() for helper in helpers)
         variable, coordinate = self._variable
         functions = [self._hook_source(expression)]
-        against = self._argument == "u"
+        reads_another = self._argument == "u"  # a variable that is not the site's own
         if variable == "path":
             functions.append(
                 "def next_state(z, dq):  # type: ignore[no-untyped-def]\n"
@@ -209,7 +218,7 @@ class FormulaEffect:
             )
         same_kind = f'machine.coordinate(site).kind == "{self._kind}"'
         functions.append(self._predicate_source("fits_site", "machine, site", same_kind))
-        if against:
+        if reads_another:
             present = f'"{coordinate}" in machine.coordinate_names'
             functions.append(self._predicate_source("fits", "machine", present if coordinate else "True"))
         code = "\n\n\n".join([*([body] if body else []), *functions])
@@ -218,7 +227,7 @@ class FormulaEffect:
         head += ["import math", ""] if "math." in code else []
         head += [f"from hframe_gym.dynamics.elementwise import {', '.join(names)}"] if names else []
         head += ["from hframe_gym.machine import Effect, EffectParameter", "", ""]
-        return "\n".join(head) + "\n" + code + "\n\n\n" + self._effect_source(variable, against)
+        return "\n".join(head) + "\n" + code + "\n\n\n" + self._effect_source(variable, reads_another)
 
     def _docstring(self) -> str:
         """Return the docstring of the file."""
@@ -235,7 +244,7 @@ class FormulaEffect:
         return "\n\n".join([title, *wrapped]) + "\n"
 
     def _hook_source(self, expression: str) -> str:
-        """Return the source of the hook."""
+        """Return the source of the function with the formula."""
         names = ", ".join([self._argument, *self.values])
         unit = "N" if self._kind == "linear" else "Nm"
         returned = "force" if self._hook == "force" else "change of the Coulomb friction"
@@ -252,14 +261,14 @@ class FormulaEffect:
 
     @staticmethod
     def _predicate_source(name: str, arguments: str, condition: str) -> str:
-        """Return the source of a predicate."""
+        """Return the source of a function that says whether the effect can act at a site or on a machine."""
         return (
             f"def {name}({arguments}):  # type: ignore[no-untyped-def]\n"
             '    """Return whether the effect can act there."""\n'
             f"    return {condition}"
         )
 
-    def _effect_source(self, variable: str, against: bool) -> str:
+    def _effect_source(self, variable: str, reads_another: bool) -> str:
         """Return the source of the definition."""
         lines = [
             f'name="{self.name}"',
@@ -268,7 +277,7 @@ class FormulaEffect:
             'source="proposed from recordings"',
             f"{self._hook}={self._hook}",
             *(["next_state=next_state"] if variable == "path" else []),
-            *([f'against="{self.table.definition.against}"', "fits=fits"] if against else []),
+            *([f'against="{self.table.definition.against}"', "fits=fits"] if reads_another else []),
             "fits_site=fits_site",
         ]
         text = "EFFECT = Effect(\n" + "".join(f"    {line},\n" for line in lines) + "    parameters=(\n"
