@@ -7,12 +7,13 @@ python -m benchmarks NAME ...   # run these, with the options that RESULTS.md st
 
 from __future__ import annotations
 
-import argparse
 import ast
 import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+
+from tools.command_line import command_line
 
 FOLDER = Path(__file__).parent
 # Commands whose results RESULTS.md contains, in the order of running. gap-v1 has a command for each entry.
@@ -72,9 +73,7 @@ def run(module: str, *options: str) -> None:
 def main() -> None:
     """List or run the benchmarks."""
     every = benchmarks()
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_line(__doc__)
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"any of {', '.join(every)}")
     parser.add_argument("--list", action="store_true", help="list the benchmarks and their questions")
     arguments = parser.parse_args()

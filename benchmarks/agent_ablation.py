@@ -12,7 +12,6 @@ which keeps variants that are not run again.
 
 from __future__ import annotations
 
-import argparse
 import json
 import tempfile
 import time
@@ -27,6 +26,7 @@ from benchmarks.agents import ratio
 from benchmarks.results_file import write_results
 from hframe_gym.agents import Agent, Recipe, load_recipe, train
 from hframe_gym.evaluation import BANDS, BOUND_BAND, Scenario, rollout, settling_times, stored_bounds
+from tools.command_line import command_line
 from tools.repository import RESULTS
 
 SCENARIO = Scenario(episodes=512, seed=0)
@@ -149,9 +149,7 @@ def run(variant: str, steps: int, seed: int, out: Path | None) -> dict[str, Any]
 
 def main() -> None:
     """Train and score the variants, and write the results after each."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_line(__doc__)
     parser.add_argument("--steps", type=int, default=400_000)
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--only", nargs="+", choices=VARIANTS | OFF_POLICY, default=list(VARIANTS))

@@ -12,7 +12,6 @@ curves, measured on 256 other episodes.
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Sequence
 from pathlib import Path
@@ -31,6 +30,7 @@ from hframe_gym.agents.agent_files import read_training_card
 from hframe_gym.errors import InputError
 from hframe_gym.evaluation import stored_bounds
 from hframe_gym.parallel import map_tasks
+from tools.command_line import command_line
 from tools.repository import FIGURES, RESULTS, ROOT
 
 NAME, TASK = "agent_seeds", "reach"
@@ -143,9 +143,7 @@ def draw(recipes: dict[str, Any]) -> None:
 
 def main() -> None:
     """Train and score the recipes, and write the results after each."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_line(__doc__)
     parser.add_argument("recipes", nargs="+", help="names of recipes without the task, for example ppo_mix")
     parser.add_argument("--seeds", type=int, nargs="+", default=list(range(10)))
     parser.add_argument("--jobs", type=int, default=1, help="number of parallel processes")

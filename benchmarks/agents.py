@@ -16,7 +16,6 @@ its seeds.
 
 from __future__ import annotations
 
-import argparse
 import json
 import shutil
 import tempfile
@@ -45,6 +44,7 @@ from hframe_gym.evaluation import (
     stored_bounds,
 )
 from hframe_gym.machine import BUILTIN_MACHINES
+from tools.command_line import command_line
 from tools.repository import RESULTS, ROOT
 
 SHIPPED = ROOT / "agents" / "shipped"
@@ -214,9 +214,7 @@ def compare(values: Array, pid: Array, bound_s: Array | None) -> dict[str, Any]:
 
 def main() -> None:
     """Train or score agents."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_line(__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     training = commands.add_parser("train")
     training.add_argument("name")

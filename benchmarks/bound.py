@@ -11,7 +11,6 @@ versions are in results/bound.json.
 
 from __future__ import annotations
 
-import argparse
 import json
 from pathlib import Path
 from typing import Any
@@ -43,6 +42,7 @@ from hframe_gym.evaluation import (
 from hframe_gym.evaluation.metrics import BOUNDS_FILE
 from hframe_gym.files import write_text
 from hframe_gym.machine import rest_state
+from tools.command_line import command_line
 
 STORE = Path(hframe_gym.evaluation.__file__).parent / BOUNDS_FILE
 WRITE_EVERY = 8  # episodes
@@ -191,9 +191,7 @@ def compare(bound: Array, seed: int) -> dict[str, Any]:
 
 def main() -> None:
     """Compute bounds, compare the controllers and write the results."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_line(__doc__)
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--episodes", type=int, default=EPISODES)
     arguments = parser.parse_args()

@@ -11,7 +11,6 @@ the declared ``machine.json``, and ``truth.json`` in words.
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 from collections.abc import Sequence
@@ -31,6 +30,7 @@ from hframe_gym.machine import Machine
 from hframe_gym.parallel import map_tasks
 from hframe_gym.recordings import Recording, load_machine
 from tests.rigs.random_effects import DrawnEffect
+from tools.command_line import add_rig_options, command_line
 
 # What the rigs hide, in the names of the library. What it lacks has no right name: `unexplained`, or a table.
 TRUTH: dict[int, tuple[DrawnEffect, ...]] = {
@@ -98,12 +98,9 @@ def show(console: Console, rows: list[dict[str, Any]]) -> None:
 
 def main() -> None:
     """Identify the rigs that the command line names, print the table and write the results."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_line(__doc__)
     parser.add_argument("--only", type=int, nargs="+", metavar="NUMBER", choices=tuple(TRUTH))
-    parser.add_argument("--log", action="store_true", help="print the progress of each identification")
-    parser.add_argument("--jobs", type=int, default=1, help="number of parallel processes")
+    add_rig_options(parser)
     arguments = parser.parse_args()
     data = data_root() / "closed_loop_rigs"
     if not data.is_dir():
@@ -111,7 +108,7 @@ def main() -> None:
     console, rows = Console(width=170), []
     run = partial(run_rig, data=data, log=arguments.log)
     for row in map_tasks(run, arguments.only or list(TRUTH), jobs=arguments.jobs):
-        console.print(json.dumps(row), highlight=False, markup=False, soft_wrap=True)
+        print(json.dumps(row), flush=True)
         rows.append(row)
     show(console, rows)
     if not arguments.only:

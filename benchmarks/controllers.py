@@ -8,13 +8,13 @@ sensors, the adaptive PID, and a textbook PID. Seed and versions are in results/
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 from typing import Any
 
 from benchmarks.results_file import write_results
 from hframe_gym.envs import SensorsLike, Track
 from hframe_gym.evaluation import Scenario, make_controller, rollout, score_episodes, stored_bounds
+from tools.command_line import command_line
 
 # The state estimator of `pid, rig` was developed on these episodes; those of seed 0 verify it (bound_seed0.json).
 SEED, EPISODES = 1000, 512
@@ -67,9 +67,7 @@ def measure(seed: int, episodes: int, pictures: Path | None = None) -> dict[str,
 
 def main() -> None:
     """Score all controllers and write the results."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_line(__doc__)
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--episodes", type=int, default=EPISODES)
     parser.add_argument(

@@ -25,7 +25,6 @@ episodes, each the mean over its seeds. Seeds and versions are in results/correc
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import json
 from collections.abc import Iterator, Sequence
@@ -48,6 +47,7 @@ from hframe_gym.machine import Machine
 from hframe_gym.recordings import load_machine
 from tests.rigs.cases import cases
 from tests.rigs.recording_sessions import DEFAULT_FOLDER, Session, record
+from tools.command_line import command_line
 from tools.repository import RESULTS
 
 CACHE = Path("out/corrected_control")
@@ -265,9 +265,7 @@ def _print_row(row: dict[str, Any], kinds: Sequence[str]) -> None:
 
 def main() -> None:
     """Evaluate the rigs that the command line names, write the results and draw the figure."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_line(__doc__)
     parser.add_argument("--rigs", nargs="+", default=list(RIGS), metavar="NAME")
     parser.add_argument(
         "--controllers", nargs="+", default=list(DECIDES), choices=list(DECIDES), metavar="NAME"

@@ -10,7 +10,6 @@ start of the effect, in the steps that `identify` takes once the effect is named
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -37,6 +36,7 @@ from hframe_gym.preparation.dataset import Dataset
 from hframe_gym.recordings import without_outliers
 from tests.rigs.random_effects import library_parameters
 from tests.rigs.random_rigs import RandomRig, draw_rig
+from tools.command_line import command_line
 
 SEED = 101  # neither the development set nor the final set of `benchmarks.random_rigs`
 COUNT = 40
@@ -190,9 +190,7 @@ def line(row: dict[str, Any]) -> str:
 
 def main() -> None:
     """Fit the rigs that the command line names, and print and write the coverage of their intervals."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_line(__doc__)
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--count", type=int, default=COUNT)
     parser.add_argument("--rigs", action="store_true", help="print a line for each rig")
@@ -202,7 +200,7 @@ def main() -> None:
     for rig in suitable_rigs(arguments.seed, arguments.count):
         rows.append(score(fit_rig(rig)))
         if arguments.rigs:
-            console.print(line(rows[-1]), highlight=False, markup=False, soft_wrap=True)
+            print(line(rows[-1]), flush=True)
     content = summarize(rows)
     show(console, content)
     if (arguments.seed, arguments.count) == (SEED, COUNT):

@@ -10,7 +10,6 @@ not count). The exit code is 1 if any digest differs.
 
 from __future__ import annotations
 
-import argparse
 import hashlib
 import json
 import os
@@ -27,6 +26,7 @@ from rich.table import Table
 
 from benchmarks.results_file import write_results
 from hframe_gym.envs import HFrameEnv, HFrameVectorEnv
+from tools.command_line import command_line
 
 SEED, LIMIT = 11, 150
 COMPARED = 3  # environments that have a digest
@@ -182,7 +182,7 @@ def compare(name: str, steps: int) -> dict[str, list[str]]:
 
 def main() -> None:
     """Compare the digests, print them and write the results."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = command_line(__doc__)
     parser.add_argument("--steps", type=int, default=10_000)
     parser.add_argument("--digest", choices=OPTIONS, help="print the vector environment's digests only")
     arguments = parser.parse_args()

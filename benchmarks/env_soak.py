@@ -11,7 +11,6 @@ results/env_soak.json while it runs.
 
 from __future__ import annotations
 
-import argparse
 import os
 import time
 from pathlib import Path
@@ -26,6 +25,7 @@ from hframe_gym.envs import HFrameVectorEnv
 from hframe_gym.machine import Machine
 from tests.rigs.random_rigs import describe_effects, draw_rig
 from tests.rigs.true_machine import true_machine
+from tools.command_line import command_line
 from tools.posix import require_posix
 
 SEED, ENVS = 5, 4096
@@ -177,7 +177,7 @@ def soak(name: str, options: dict[str, Any], steps: int, console: Console, conte
 def main() -> None:
     """Run all environments and write the results."""
     require_posix("benchmarks.env_soak")
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = command_line(__doc__)
     parser.add_argument("--steps", type=float, default=1e9, help="of all environments together, 10 ms each")
     arguments = parser.parse_args()
     content: dict[str, Any] = {"environments": ENVS}

@@ -8,7 +8,6 @@ Processor time is that of the process, all threads included; other load on the m
 
 from __future__ import annotations
 
-import argparse
 import os
 import statistics
 import subprocess
@@ -19,6 +18,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.results_file import write_results
+from tools.command_line import command_line
 
 CASES = {
     "default": "{}",
@@ -45,9 +45,7 @@ def seconds(arguments: str, cache: str) -> float:
 
 def main() -> None:
     """Measure, print and store the times."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_line(__doc__)
     parser.add_argument("--repeats", type=int, default=3)
     repeats = parser.parse_args().repeats
     table = Table("environment", "empty cache, s", "filled cache, s")

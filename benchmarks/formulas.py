@@ -10,7 +10,6 @@ effects of the library. Formula and table are compared on the held-out runs.
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import os
@@ -29,6 +28,7 @@ from tests.reference_simulator import COORDINATES
 from tests.rigs.cases import Case
 from tests.rigs.hidden_effects import Build, HiddenEffect, change_site
 from tests.rigs.recording_sessions import Session, record
+from tools.command_line import command_line
 
 FOLDER = Path("out/formulas")
 RUNS = 12  # of 2 s; three are held out
@@ -117,9 +117,7 @@ def _row(comparison: TableComparison) -> dict[str, Any]:
 def main() -> None:
     """Measure the rigs that the command line names."""
     every = cases()
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_line(__doc__)
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"any of: {', '.join(every)}")
     names = parser.parse_args().names or list(every)
     rigs = {}

@@ -11,7 +11,6 @@ The readers run one after the other, each in its process, whose peak memory is m
 
 from __future__ import annotations
 
-import argparse
 import faulthandler
 import multiprocessing
 import os
@@ -27,6 +26,7 @@ from benchmarks.results_file import write_results
 from tests.bad_inputs.commands import run_command
 from tests.bad_inputs.options import command_with_options
 from tests.bad_inputs.readers import READERS, WEIGHTS, Case, save_case
+from tools.command_line import command_line
 from tools.posix import peak_megabytes, require_posix
 
 SUBJECTS = READERS | {"options": command_with_options}
@@ -120,9 +120,7 @@ def summarize(reader: str, count: int, number: int, save: Path | None) -> dict[s
 def main() -> None:
     """Run all readers, print a table and write the results."""
     require_posix("benchmarks.fuzzing")
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_line(__doc__)
     parser.add_argument("--count", type=int, default=5000, help="mutated files in all")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument(

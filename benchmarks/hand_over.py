@@ -9,7 +9,6 @@ the machine. At 0 mm all of the move is that of `ppo_mix`. Results go to results
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Mapping
 from typing import Any
 
@@ -25,6 +24,7 @@ from hframe_gym.arrays import Actions, Mask
 from hframe_gym.controllers import Controller
 from hframe_gym.evaluation import Scenario, rollout, settling_times
 from hframe_gym.machine import Machine
+from tools.command_line import command_line
 
 NAME = "hand_over"
 DISTANCES_MM = (0.0, 5.0, 20.0, 50.0, 1000.0)  # the last one is beyond all goals: `pid` alone
@@ -104,9 +104,7 @@ def row(distance_mm: float, draws: int) -> dict[str, Any]:
 
 def main() -> None:
     """Score all distances and write the results."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_line(__doc__)
     parser.add_argument("--draws", type=int, default=96)
     draws = parser.parse_args().draws
     rows = []

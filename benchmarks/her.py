@@ -9,7 +9,6 @@ results/her.json.
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 from typing import Any
 
@@ -18,6 +17,7 @@ import numpy as np
 from benchmarks.results_file import write_results
 from hframe_gym.agents import Agent, train
 from hframe_gym.evaluation import Scenario, rollout, settling_times
+from tools.command_line import command_line
 
 BAND = 5e-3  # m, the band of the recipe's reward
 BAR = 0.9
@@ -54,9 +54,7 @@ def train_and_evaluate(seed: int) -> dict[str, Any]:
 
 def main() -> None:
     """Train and evaluate one agent per seed."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_line(__doc__)
     parser.add_argument("--seeds", type=int, default=3)
     runs: list[dict[str, Any]] = []
     for seed in range(parser.parse_args().seeds):

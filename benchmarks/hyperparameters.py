@@ -14,7 +14,6 @@ size of a batch, not on the number of workers.
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 from dataclasses import replace
 from functools import partial
@@ -27,6 +26,7 @@ from hframe_gym.agents import Recipe, load_recipe, train
 from hframe_gym.agents.model_card import SECONDS_PER_MM
 from hframe_gym.evaluation import BANDS
 from hframe_gym.parallel import LOCAL_RAY, map_tasks
+from tools.command_line import command_line
 
 STEPS = 300_000
 SEED = 100  # the agents of the package have the seeds 0 to 9
@@ -91,9 +91,7 @@ def content(study: optuna.Study, steps: int) -> dict[str, Any]:
 
 def main() -> None:
     """Run the study and write its state after every batch of trials."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_line(__doc__)
     parser.add_argument("--trials", type=int, default=24)
     parser.add_argument("--steps", type=int, default=STEPS, help="environment steps of a trial")
     parser.add_argument("--batch", type=int, default=1, help="number of trials that are drawn together")

@@ -13,16 +13,13 @@ package's source is the same (with --resume: always), so that an interrupted run
 
 from __future__ import annotations
 
-import argparse
 import hashlib
 import json
 import math
 import sys
 import time
 import traceback
-from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -30,25 +27,20 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-import hframe_gym
 from benchmarks.results_file import write_results
+from benchmarks.row_cache import Row, RowCache, source_key
 from benchmarks.scoring import SCORES, score_session
-from hframe_gym.files import write_text
 from hframe_gym.identification import identify
+from hframe_gym.parallel import map_tasks
 from hframe_gym.recordings import load_machine, load_recordings
 from tests.rigs.cases import Case, cases, select_cases
 from tests.rigs.recording_sessions import DEFAULT_FOLDER, record
+from tools.command_line import command_line
 from tools.repository import RESULTS
 
 CACHE = Path("out/identification")
 MAX_NOISE_RATIO = 1.1  # required error with the effects, in multiples of the sensor noise
 MAX_PARAMETER_ERROR = 0.02  # required relative error of the effects' parameters
-# Packages on which no identification depends; all others count, so that a new one does as well.
-INDEPENDENT = (
-    *("agents", "app", "cli", "controllers", "data_validation", "differentiable"),
-    *("envs", "evaluation", "exporters"),
-)
-Row = dict[str, Any]
 
 
 def examples(console: Console) -> None:
@@ -69,18 +61,6 @@ def examples(console: Console) -> None:
     write_results("identify_examples", results, seed=None)
 
 
-def source_key() -> str:
-    """Return a hash of all sources on which a result can depend."""
-    folder, text = Path(hframe_gym.__file__).parent, hashlib.sha256()
-    for name in INDEPENDENT:
-        if not (folder / name).is_dir():
-            raise FileNotFoundError(f"{folder / name}: no such package; correct INDEPENDENT")
-    for source in sorted(folder.rglob("*.py")):
-        if source.relative_to(folder).parts[0] not in INDEPENDENT:
-            text.update(source.read_bytes())
-    return text.hexdigest()
-
-
 def identify_case(case: Case, folder: str, key: str, resume: bool) -> Row:
     """Return the row of one rig, from the cache if it is valid.
 
@@ -94,13 +74,10 @@ def identify_case(case: Case, folder: str, key: str, resume: bool) -> Row:
         The row; {"rig", "failed"} if identification raised an exception.
     """
     session = record(case, Path(folder))
-    cached = CACHE / f"{session.folder.name}.json"
-    key = hashlib.sha256((key + (session.folder / "session.json").read_text()).encode()).hexdigest()
-    if cached.is_file():
-        old: dict[str, Any] = json.loads(cached.read_text())
-        if resume or old["key"] == key:
-            row: Row = old["row"]
-            return row
+    of_session = hashlib.sha256((key + (session.folder / "session.json").read_text()).encode())
+    cache, name = RowCache(CACHE, of_session.hexdigest(), resume), session.folder.name
+    if (kept := cache.row(name)) is not None:
+        return kept
     recordings, machine = session.recordings(), session.machine()
     began = time.process_time()
     try:
@@ -109,19 +86,8 @@ def identify_case(case: Case, folder: str, key: str, resume: bool) -> Row:
         return {"rig": case.name, "failed": "".join(traceback.format_exception(error))}
     # of all threads; other load does not change it
     row["cpu_seconds"] = round(time.process_time() - began, 2)
-    write_text(cached, json.dumps({"key": key, "row": row}, indent=1) + "\n")
+    cache.keep(name, row)
     return row
-
-
-def identify_cases(selection: list[Case], folder: str, jobs: int, resume: bool) -> Iterator[Row]:
-    """Yield the rows of some rigs, in order."""
-    key = source_key()
-    if jobs < 2:
-        yield from (identify_case(case, folder, key, resume) for case in selection)
-        return
-    count = len(selection)
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        yield from pool.map(identify_case, selection, [folder] * count, [key] * count, [resume] * count)
 
 
 def line(row: Row) -> str:
@@ -210,9 +176,7 @@ def overview() -> None:
 
 def main() -> None:
     """Identify the rigs that the command line names, and print and write the results."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_line(__doc__)
     parser.add_argument("sets", nargs="*", metavar="SET")
     parser.add_argument(
         "--only", action="append", default=[], metavar="NAME", help="only this rig of the sets"
@@ -237,8 +201,9 @@ def main() -> None:
     if "examples" in sets:
         examples(console)
     rows = []
-    for row in identify_cases(selection, arguments.rigs, arguments.jobs, arguments.resume):
-        console.print(line(row), highlight=False, markup=False, soft_wrap=True)
+    identify_one = partial(identify_case, folder=arguments.rigs, key=source_key(), resume=arguments.resume)
+    for row in map_tasks(identify_one, selection, jobs=arguments.jobs):
+        print(line(row), flush=True)
         rows.append(row)
     done = [row for row in rows if "failed" not in row]
     if done:

@@ -11,7 +11,6 @@ the next judgment, not the path that the search would take from there: where one
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import dataclasses
 import functools
@@ -42,6 +41,7 @@ from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import Recording, load_machine, load_recordings
 from tests.rigs import outside_rigs, random_rigs
 from tests.rigs.random_effects import DrawnEffect
+from tools.command_line import command_line
 from tools.repository import ROOT
 
 FOLDER = Path("out/judgments")
@@ -475,9 +475,7 @@ def show_changes(records: Sequence[Record], console: Console) -> None:
 
 def main() -> None:
     """Record rigs, or judge recorded ones again."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_line(__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     commands.add_parser("record").add_argument("rigs", nargs="+", metavar="RIG")
     commands.add_parser("thresholds")

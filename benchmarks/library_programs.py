@@ -32,6 +32,7 @@ from benchmarks.results_file import save_figure, write_results
 from hframe_gym.envs import EnvConfig, HFrameVectorEnv
 from hframe_gym.evaluation import installed_versions
 from tools.code_blocks import read_blocks
+from tools.command_line import command_line
 from tools.repository import FIGURES, RESULTS, ROOT
 
 NAME, PAGE = "library_programs", ROOT / "docs" / "with_your_library.md"
@@ -256,9 +257,7 @@ def draw(programs: dict[str, Any]) -> None:
 
 def main() -> None:
     """Run the programs whose libraries are installed, and write the results after each run."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_line(__doc__)
     parser.add_argument("sections", nargs="*", default=list(PROGRAMS), help="sections of the page")
     parser.add_argument("--steps", type=int, nargs="+", default=list(STEPS))
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1])

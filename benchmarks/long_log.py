@@ -10,7 +10,6 @@ largest resident memory are in results/long_log.json. The requirement is 2 GB an
 
 from __future__ import annotations
 
-import argparse
 import json
 import subprocess
 import sys
@@ -24,6 +23,7 @@ from benchmarks.results_file import write_results
 from hframe_gym.arrays import Array
 from hframe_gym.machine import Machine
 from hframe_gym.recordings import load_machine
+from tools.command_line import command_line
 from tools.posix import require_posix
 
 PERIOD = 1e-3  # s
@@ -104,9 +104,7 @@ def measure(*words: str) -> dict[str, float]:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Write the logs, run the commands, and print what they take."""
     require_posix("benchmarks.long_log")
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_line(__doc__)
     parser.add_argument("--rows", type=int, default=3_000_000)
     parser.add_argument("--machine", default="axis")
     options = parser.parse_args(arguments)

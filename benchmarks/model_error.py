@@ -20,7 +20,6 @@ Results are added to results/model_error.json or model_error_machines.json, whic
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import json
 from pathlib import Path
@@ -38,6 +37,7 @@ from hframe_gym.envs.domain_randomization import RANDOMIZATION_PRESETS
 from hframe_gym.evaluation import Scenario, rollout, settling_times
 from hframe_gym.evaluation.undeclared_effects import effect_rules, with_absent_effects
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
+from tools.command_line import command_line
 from tools.repository import RESULTS, ROOT
 
 NAME = "model_error"
@@ -148,9 +148,7 @@ def row_of_machines(name: str, draws: int) -> dict[str, Any]:
 
 def main() -> None:
     """Score what the command line asks for, and write the results."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_line(__doc__)
     parser.add_argument("--draws", type=int, default=128)
     parser.add_argument("--only", nargs="*", metavar="NAME")
     parser.add_argument("--train", action="store_true")

@@ -9,9 +9,6 @@ Results are cached in out/other_simulator_rigs as those of benchmarks.random_rig
 
 from __future__ import annotations
 
-import argparse
-import hashlib
-import json
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,14 +16,13 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.identification import source_key
 from benchmarks.results_file import write_results
 from benchmarks.rig_score import identify_rig, unseen_errors
-from hframe_gym.files import write_text
+from benchmarks.row_cache import RowCache, source_key
 from hframe_gym.machine import BUILTIN_MACHINES
-from hframe_gym.parallel import map_tasks
 from tests.rigs.random_effects import DrawnEffect
 from tests.rigs.random_rigs import describe_effects
+from tools.command_line import add_rig_options, command_line
 from tools.repository import ROOT
 
 DATA = ROOT / "benchmarks" / "data" / "other_simulator"
@@ -66,34 +62,24 @@ TRUTH: dict[int, tuple[DrawnEffect, ...]] = {
 }
 
 
-def run_rig(number: int, key: str, *, log: bool = False) -> dict[str, Any]:
-    """Identify and score a rig, or return its row from the cache if that is valid.
+def run_rig(number: int, *, log: bool = False) -> dict[str, Any]:
+    """Identify and score a rig.
 
     Args:
         number: Number of the rig, from 1.
-        key: Hash of the sources.
         log: Whether to print the progress of the identification.
 
     Returns:
         The row of the results.
     """
-    folder, cached = DATA / f"rig_{number:02d}", CACHE / f"rig_{number:02d}.json"
-    if cached.is_file():
-        old: dict[str, Any] = json.loads(cached.read_text())
-        if old["key"] == key:
-            row: dict[str, Any] = old["row"]
-            return row
     declared = BUILTIN_MACHINES["hframe"]()
-    answer = identify_rig(folder, declared, TRUTH[number], log=log)
-    row = {
+    answer = identify_rig(DATA / f"rig_{number:02d}", declared, TRUTH[number], log=log)
+    return {
         **answer.row,
         "truth": describe_effects(TRUTH[number]),
         "unseen": {name: unseen_errors(machine, answer.unseen) for name, machine in answer.machines.items()},
         "seconds": answer.seconds,
     }
-    CACHE.mkdir(parents=True, exist_ok=True)
-    write_text(cached, json.dumps({"key": key, "row": row}, indent=1) + "\n")
-    return row
 
 
 def show(console: Console, rows: list[dict[str, Any]]) -> None:
@@ -115,23 +101,15 @@ def show(console: Console, rows: list[dict[str, Any]]) -> None:
 
 def main() -> None:
     """Identify the rigs that the command line names, print the table and write the results."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_line(__doc__)
     parser.add_argument("--only", type=int, nargs="+", metavar="NUMBER", choices=tuple(TRUTH))
-    parser.add_argument("--log", action="store_true", help="print the progress of each identification")
-    parser.add_argument("--jobs", type=int, default=1, help="number of parallel processes")
+    add_rig_options(parser)
     arguments = parser.parse_args()
-    text = hashlib.sha256(source_key().encode())
-    for source in _SOURCES:
-        text.update((ROOT / source).read_bytes())
     console, rows = Console(width=170), []
-    run = partial(run_rig, key=text.hexdigest(), log=arguments.log)
-    for row in map_tasks(run, arguments.only or list(TRUTH), jobs=arguments.jobs):
-        named = " + ".join(row["named"]) or row["verdict"]
-        console.print(
-            f"{row['rig']}: {row['truth']} -> {named}", highlight=False, markup=False, soft_wrap=True
-        )
+    rigs = {f"rig_{number:02d}": number for number in arguments.only or TRUTH}
+    cache = RowCache(CACHE, source_key(*_SOURCES))
+    for row in cache.complete(partial(run_rig, log=arguments.log), rigs, jobs=arguments.jobs):
+        print(f"{row['rig']}: {row['truth']} -> {' + '.join(row['named']) or row['verdict']}", flush=True)
         rows.append(row)
     show(console, rows)
     if not arguments.only:

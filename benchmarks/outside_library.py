@@ -19,38 +19,31 @@ Results of single rigs are cached in out/outside_library as those of benchmarks.
 
 from __future__ import annotations
 
-import argparse
-import hashlib
 import json
-import time
-from collections.abc import Iterator
 from fnmatch import fnmatch
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.identification import source_key
-from benchmarks.random_rigs import rig_key
+from benchmarks.random_rigs import RIG_SOURCES
 from benchmarks.results_file import write_results
 from benchmarks.rig_score import NOISE, unseen_errors
-from hframe_gym.files import write_text
-from hframe_gym.identification import IdentificationResult, identify
+from benchmarks.row_cache import Row, RowCache, source_key
+from benchmarks.timed_identification import timed_identification
+from hframe_gym.identification import IdentificationResult
 from hframe_gym.machine import BUILTIN_MACHINES
-from hframe_gym.parallel import map_tasks
 from tests.rigs.outside_effects import OutsideEffect
 from tests.rigs.outside_rigs import COUNT, OutsideSession, draw_rig
-from tools.repository import ROOT
+from tools.command_line import add_rig_options, command_line
 
 CACHE = Path("out/outside_library")
 MUCH_LEFT = 10.0  # times the noise
 MUCH_OF_EXCESS = 0.1  # of the squared error beyond the noise that the refitted machine leaves
 NO_EFFECT_LEFT = 2.0  # times the noise, above which `no_effect` is false
 BUDGET_CPU_S = 120.0  # processor time of one identification that is asked for
-Row = dict[str, Any]
 
 
 def false_names(effect: OutsideEffect, named: list[str], before: float, after: float) -> list[str]:
@@ -142,35 +135,8 @@ def run_rig(index: int, *, seed: int, log: bool = False) -> Row:
         log: Whether to print the progress of the identification.
     """
     session = draw_rig(seed, index).record()
-    began = time.process_time()
-    declared = BUILTIN_MACHINES["hframe"]()
-    result = identify(session.recordings, declared, log=partial(print, flush=True) if log else None)
-    return score_rig(session, result, time.process_time() - began)
-
-
-def run_rigs(indices: list[int], seed: int, jobs: int, *, log: bool) -> Iterator[Row]:
-    """Yield the rows of some rigs, in order, from the cache where that is valid.
-
-    Args:
-        indices: Numbers of the rigs in the set.
-        seed: Seed of the set.
-        jobs: Number of parallel processes.
-        log: Whether to print the progress of each identification.
-    """
-    text = hashlib.sha256(
-        (source_key() + rig_key()).encode() + (ROOT / "benchmarks/outside_library.py").read_bytes()
-    )
-    key, files = text.hexdigest(), {index: CACHE / f"{draw_rig(seed, index).name}.json" for index in indices}
-    stored = {index: json.loads(file.read_text()) for index, file in files.items() if file.is_file()}
-    cached = {index: old["row"] for index, old in stored.items() if old["key"] == key}
-    missing = [index for index in indices if index not in cached]
-
-    def write(position: int, row: Row) -> None:
-        CACHE.mkdir(parents=True, exist_ok=True)
-        write_text(files[missing[position]], json.dumps({"key": key, "row": row}, indent=1) + "\n")
-
-    computed = map_tasks(partial(run_rig, seed=seed, log=log), missing, jobs=jobs, completed=write)
-    yield from (cached[index] if index in cached else next(computed) for index in indices)
+    result, seconds = timed_identification(session.recordings, BUILTIN_MACHINES["hframe"](), log=log)
+    return score_rig(session, result, seconds["cpu"])
 
 
 def summary(rows: list[Row]) -> Row:
@@ -217,24 +183,21 @@ def show(console: Console, rows: list[Row]) -> None:
 
 def main() -> None:
     """Identify the rigs that the command line names, print the table and write the results."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_line(__doc__)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--count", type=int, default=COUNT, help="number of rigs of the set")
     parser.add_argument(
         "--only", type=int, nargs="+", metavar="INDEX", help="only these rigs; nothing is written"
     )
-    parser.add_argument("--jobs", type=int, default=1, help="number of parallel processes")
-    parser.add_argument("--log", action="store_true", help="print the progress of each identification")
+    add_rig_options(parser)
     arguments = parser.parse_args()
     indices = arguments.only or list(range(arguments.count))
     console, rows = Console(width=200), []
-    for row in run_rigs(indices, arguments.seed, arguments.jobs, log=arguments.log):
-        named = " + ".join(row["named"]) or row["verdict"]
-        console.print(
-            f"{row['rig']} {row['hidden']} -> {named}", highlight=False, markup=False, soft_wrap=True
-        )
+    rigs = {draw_rig(arguments.seed, index).name: index for index in indices}
+    cache = RowCache(CACHE, source_key(*RIG_SOURCES, "benchmarks/outside_library.py"))
+    run = partial(run_rig, seed=arguments.seed, log=arguments.log)
+    for row in cache.complete(run, rigs, jobs=arguments.jobs):
+        print(f"{row['rig']} {row['hidden']} -> {' + '.join(row['named']) or row['verdict']}", flush=True)
         rows.append(row)
     show(console, rows)
     if not arguments.only:

@@ -11,7 +11,6 @@ are in results/plain_ppo.json; `--reward dense` and the like show what the envir
 
 from __future__ import annotations
 
-import argparse
 import time
 from typing import Any
 
@@ -23,6 +22,7 @@ from benchmarks.results_file import write_results
 from hframe_gym.agents.optional_dependencies import single_threaded_torch
 from hframe_gym.envs import EnvConfig, HFrameVectorEnv
 from hframe_gym.envs.sb3_vec_env import HFrameVecEnv
+from tools.command_line import command_line
 
 BAR = 1.0  # mm, median distance at the end of an episode
 EPISODES, EPISODE_S = 256, 1.5
@@ -98,9 +98,7 @@ def train(
 
 def main() -> None:
     """Train with every seed and write the learning curves."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_line(__doc__)
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--envs", type=int, default=ENVS)

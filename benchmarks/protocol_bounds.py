@@ -10,7 +10,6 @@ effect that the optimization does not support (docs/bound.md) has no bound, and 
 
 from __future__ import annotations
 
-import argparse
 import json
 from pathlib import Path
 from typing import Any
@@ -33,6 +32,7 @@ from hframe_gym.evaluation import (
 )
 from hframe_gym.files import write_text
 from hframe_gym.machine import Machine
+from tools.command_line import command_line
 
 FOLDER = Path(hframe_gym.evaluation.__file__).parent / "bound_times_data"
 WRITE_EVERY = 4  # draws
@@ -109,9 +109,7 @@ def _write(file: Path, protocol: Protocol, rows: list[dict[str, Any]]) -> None:
 
 def main() -> None:
     """Compute the bounds and print their means."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_line(__doc__)
     parser.add_argument("protocol")
     parser.add_argument("--draws", type=int, default=128)
     arguments = parser.parse_args()

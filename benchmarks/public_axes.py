@@ -12,10 +12,8 @@ permit shipping the recordings.
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
-import time
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -26,10 +24,11 @@ from rich.table import Table
 
 from benchmarks.real_machines.study import MACHINES
 from benchmarks.results_file import data_root, write_results
-from hframe_gym.identification import identify
+from benchmarks.timed_identification import timed_identification
 from hframe_gym.identification.validate.machine_errors import ModelEvaluation
 from hframe_gym.parallel import map_tasks
 from hframe_gym.recordings import load_machine, load_recordings
+from tools.command_line import add_rig_options, command_line
 
 
 class PublicSet(NamedTuple):
@@ -158,13 +157,7 @@ def run_set(name: str, data: Path, *, log: bool = False) -> dict[str, Any]:
     file = MACHINES / f"{public.file}.json" if public.file else folder / "machine.json"
     declared = load_machine(str(file))
     recordings = load_recordings(folder / "runs", declared)
-    began = time.process_time()
-
-    def print_line(line: str) -> None:
-        print(f"{time.process_time() - began:7.1f} {line}", flush=True)
-
-    result = identify(recordings, declared, held_out=public.held_out, log=print_line if log else None)
-    seconds = time.process_time() - began
+    result, seconds = timed_identification(recordings, declared, log=log, held_out=public.held_out)
     report = result.as_json()
     after = _error(result.after)
     return {
@@ -186,7 +179,7 @@ def run_set(name: str, data: Path, *, log: bool = False) -> dict[str, Any]:
         },
         "plain_delivered": bool(result.plain and result.plain.delivered),
         "ratio": None if after is None else after / public.plain_error,
-        "cpu_seconds": round(seconds, 1),
+        "cpu_seconds": round(seconds["cpu"], 1),
     }
 
 
@@ -217,12 +210,9 @@ def show(console: Console, rows: list[dict[str, Any]]) -> None:
 
 def main() -> None:
     """Identify the sets that the command line names, print the table and write the results."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_line(__doc__)
     parser.add_argument("--only", nargs="+", metavar="SET", choices=tuple(SETS))
-    parser.add_argument("--log", action="store_true", help="print the progress of each identification")
-    parser.add_argument("--jobs", type=int, default=1, help="number of parallel processes")
+    add_rig_options(parser)
     arguments = parser.parse_args()
     data = data_root() / "public_axes"
     console, rows, names = Console(width=170), [], []
@@ -232,7 +222,7 @@ def main() -> None:
         else:
             print(f"skipped: no folder {data / name / 'runs'}. {SETS[name].recipe(data / name / 'runs')}")
     for row in map_tasks(partial(run_set, data=data, log=arguments.log), names, jobs=arguments.jobs):
-        console.print(json.dumps(row), highlight=False, markup=False, soft_wrap=True)
+        print(json.dumps(row), flush=True)
         rows.append(row)
     if not rows:
         sys.exit("no recordings in $HFRAME_DATA/public_axes")

@@ -19,64 +19,34 @@ Results of single rigs are cached in out/random_rigs as long as package, rigs an
 
 from __future__ import annotations
 
-import argparse
-import hashlib
 import json
 import sys
-import time
 import traceback
-from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 
-from benchmarks.identification import source_key
 from benchmarks.random_rigs_summary import show, summary
 from benchmarks.results_file import write_results
 from benchmarks.rig_score import score_rig
-from hframe_gym.files import write_text
-from hframe_gym.identification import IdentificationResult, identify
+from benchmarks.row_cache import Row, RowCache, source_key
+from benchmarks.timed_identification import TimedResult, timed_identification
+from hframe_gym.identification import IdentificationResult
 from hframe_gym.machine import BUILTIN_MACHINES
-from hframe_gym.parallel import LOCAL_RAY, map_tasks
+from hframe_gym.parallel import LOCAL_RAY
 from tests.rigs.fresh_process import in_fresh_process
 from tests.rigs.random_rigs import RandomSession, draw_rig
-from tools.repository import ROOT
+from tools.command_line import command_line
 
 CACHE = Path("out/random_rigs")
 DEVELOPMENT_SEED = 1
 COUNT = 300
-_RIG_SOURCES = ("tests/rigs", "tests/reference_simulator", "tests/euler_simulator")
-_SCORE_SOURCES = ("benchmarks/rig_score.py", "benchmarks/scoring.py")
-Row = dict[str, Any]
-
-
-def rig_key() -> str:
-    """Return a hash of all sources on which the recordings and their scores depend."""
-    text = hashlib.sha256()
-    for folder in _RIG_SOURCES:
-        for source in sorted((ROOT / folder).glob("*.py")):
-            if not source.name.startswith("test_"):
-                text.update(source.read_bytes())
-    for name in _SCORE_SOURCES:
-        text.update((ROOT / name).read_bytes())
-    return text.hexdigest()
-
-
-def timed_identification(
-    session: RandomSession, *, log: bool = False
-) -> tuple[IdentificationResult, dict[str, float]]:
-    """Identify a rig; return the result and the duration, s, by "wall" and "cpu" (processor time).
-
-    Args:
-        session: The recorded rig.
-        log: Whether to print the progress.
-    """
-    wall, cpu = time.perf_counter(), time.process_time()
-    machine, print_line = BUILTIN_MACHINES["hframe"](), partial(print, flush=True) if log else None
-    result = identify(session.recordings, machine, log=print_line)
-    return result, {"wall": time.perf_counter() - wall, "cpu": time.process_time() - cpu}
+# What recordings and scores depend on.
+RIG_SOURCES = (
+    *("tests/rigs", "tests/reference_simulator", "tests/euler_simulator"),
+    *("benchmarks/rig_score.py", "benchmarks/scoring.py"),
+)
 
 
 def repeated_identification(session: RandomSession) -> tuple[Row, dict[str, float]]:
@@ -85,8 +55,13 @@ def repeated_identification(session: RandomSession) -> tuple[Row, dict[str, floa
     Args:
         session: The recorded rig.
     """
-    result, seconds = timed_identification(session)
+    result, seconds = _identified(session)
     return _without_duration(result), seconds
+
+
+def _identified(session: RandomSession, *, log: bool = False) -> TimedResult:
+    """Identify a rig."""
+    return timed_identification(session.recordings, BUILTIN_MACHINES["hframe"](), log=log)
 
 
 def _without_duration(result: IdentificationResult) -> Row:
@@ -112,7 +87,7 @@ def run_rig(index: int, *, seed: int, closed_loop: bool, repeat: bool, log: bool
     rig = draw_rig(seed, index, closed_loop=closed_loop)
     session = rig.record()
     try:
-        result, seconds = timed_identification(session, log=log)
+        result, seconds = _identified(session, log=log)
         row = in_fresh_process(score_rig, session, result, seconds)
         if repeat:
             report, row["repeated_seconds"] = in_fresh_process(repeated_identification, session)
@@ -124,46 +99,6 @@ def run_rig(index: int, *, seed: int, closed_loop: bool, repeat: bool, log: bool
             "truth": rig.describe(),
             "failed": "".join(traceback.format_exception(error)),
         }
-
-
-def run_rigs(
-    indices: list[int],
-    seed: int,
-    jobs: int,
-    ray: str | None,
-    resume: bool,
-    *,
-    closed_loop: bool,
-    repeat: bool,
-    log: bool,
-) -> Iterator[Row]:
-    """Yield the rows of some rigs, in order, from the cache where that is valid.
-
-    Args:
-        indices: Numbers of the rigs in the set.
-        seed: Seed of the set.
-        jobs: Number of parallel processes.
-        ray: Address of a Ray cluster; None for local processes.
-        resume: Whether to use the cache in spite of changed sources.
-        closed_loop: Whether position controllers drive the rigs.
-        repeat: Whether to identify each rig a second time, with simulation code that was compiled before.
-        log: Whether to print the progress of each identification.
-    """
-    key = hashlib.sha256((source_key() + rig_key() + repeat * "repeated").encode()).hexdigest()
-    names = {index: draw_rig(seed, index, closed_loop=closed_loop).name for index in indices}
-    files = {index: CACHE / f"{name}.json" for index, name in names.items()}
-    stored = {index: json.loads(file.read_text()) for index, file in files.items() if file.is_file()}
-    cached = {index: old["row"] for index, old in stored.items() if resume or old["key"] == key}
-    missing = [index for index in indices if index not in cached]
-
-    def write(position: int, row: Row) -> None:
-        if "failed" not in row:
-            CACHE.mkdir(parents=True, exist_ok=True)
-            write_text(files[missing[position]], json.dumps({"key": key, "row": row}, indent=1) + "\n")
-
-    run = partial(run_rig, seed=seed, closed_loop=closed_loop, repeat=repeat, log=log)
-    computed = map_tasks(run, missing, jobs=jobs, ray=ray, completed=write)
-    yield from (cached[index] if index in cached else next(computed) for index in indices)
 
 
 def line(row: Row) -> str:
@@ -189,9 +124,7 @@ def line(row: Row) -> str:
 
 def main() -> None:
     """Identify the rigs that the command line names, and print and write the results."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_line(__doc__)
     parser.add_argument("--seed", type=int, default=DEVELOPMENT_SEED)
     parser.add_argument("--count", type=int, default=COUNT, help="number of rigs of the set")
     parser.add_argument("--closed-loop", action="store_true", help="rigs that a position controller drives")
@@ -213,13 +146,16 @@ def main() -> None:
     indices = arguments.only or list(range(arguments.count))
     console = Console(width=170)
     rows = []
-    options = {"closed_loop": arguments.closed_loop, "repeat": arguments.repeat, "log": arguments.log}
-    name = f"random_rigs{'_closed' if arguments.closed_loop else ''}_{arguments.seed}"
-    for row in run_rigs(indices, arguments.seed, arguments.jobs, arguments.ray, arguments.resume, **options):
-        console.print(line(row), highlight=False, markup=False, soft_wrap=True)
+    options = {"seed": arguments.seed, "closed_loop": arguments.closed_loop}
+    rigs = {draw_rig(index=index, **options).name: index for index in indices}
+    cache = RowCache(CACHE, source_key(*RIG_SOURCES) + arguments.repeat * " repeated", arguments.resume)
+    run = partial(run_rig, **options, repeat=arguments.repeat, log=arguments.log)
+    for row in cache.complete(run, rigs, jobs=arguments.jobs, ray=arguments.ray):
+        print(line(row), flush=True)
         rows.append(row)
     done = [row for row in rows if "failed" not in row]
     if done:
+        name = f"random_rigs{'_closed' if arguments.closed_loop else ''}_{arguments.seed}"
         content = summary(done)
         show(console, content)
         if not arguments.only:

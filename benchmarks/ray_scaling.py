@@ -11,7 +11,6 @@ Every result is compared with that of the plain run, bit for bit.
 
 from __future__ import annotations
 
-import argparse
 import hashlib
 import json
 import math
@@ -29,6 +28,7 @@ from hframe_gym.identification import identify
 from hframe_gym.machine import BUILTIN_MACHINES
 from hframe_gym.parallel import LOCAL_RAY, map_tasks
 from hframe_gym.recordings import load_recordings
+from tools.command_line import command_line
 from tools.posix import peak_megabytes, require_posix
 from tools.repository import ROOT
 
@@ -121,9 +121,7 @@ def compare(function: Callable[[Any], Done], items: Sequence[Any], repeats: int)
 def main() -> None:
     """Measure both kinds of tasks and write the results."""
     require_posix("benchmarks.ray_scaling")
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_line(__doc__)
     parser.add_argument("--repeats", type=int, default=3)
     repeats = parser.parse_args().repeats
     os.environ["RAY_worker_niceness"] = "0"  # noqa: SIM112 - the priority of the plain run; Ray's default is a low one

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-import time
 from collections.abc import Iterable, Mapping, Sequence
 from fnmatch import fnmatch
 from pathlib import Path
@@ -15,10 +14,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks.scoring import score_names
+from benchmarks.timed_identification import timed_identification
 from hframe_gym.arrays import Array
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
-from hframe_gym.identification import IdentificationResult, identify, simulate_recording
+from hframe_gym.identification import IdentificationResult, simulate_recording
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import Recording, load_machine, load_recordings, save_machine
 from tests.reference_simulator.sensors import ENCODER_STEP_RAD, LASER_NOISE_M
@@ -251,13 +251,7 @@ def identify_rig(
         The answer.
     """
     recordings, unseen = (load_recordings(folder / name, declared) for name in ("runs", "unseen"))
-    wall, cpu = time.perf_counter(), time.process_time()
-
-    def print_line(line: str) -> None:
-        print(f"{time.process_time() - cpu:7.1f} {line}", flush=True)
-
-    result = identify(recordings, declared, log=print_line if log else None)
-    seconds = {"wall": round(time.perf_counter() - wall, 2), "cpu": round(time.process_time() - cpu, 2)}
+    result, seconds = timed_identification(recordings, declared, log=log)
     report = result.as_json()
     named = {f"{e['name']}@{e['site']}": list(e.get("rivals", ())) for e in report["effects"]}
     names = score_names(truth, result.verdict, named)
@@ -272,7 +266,8 @@ def identify_rig(
         "stable": survives_rated_voltage(result.after.machine),
     }
     machines = {"declared": declared, "before": result.before.machine, "after": result.after.machine}
-    return IdentifiedRig(result, machines, unseen, row, seconds)
+    rounded = {clock: round(value, 2) for clock, value in seconds.items()}
+    return IdentifiedRig(result, machines, unseen, row, rounded)
 
 
 def survives_rated_voltage(machine: Machine) -> bool:

@@ -12,7 +12,6 @@ something are skipped as well.
 
 from __future__ import annotations
 
-import argparse
 import os
 import re
 import subprocess
@@ -24,6 +23,7 @@ from typing import Any
 
 from markdown_it import MarkdownIt
 
+from tools.command_line import command_line
 from tools.repository import ROOT
 
 EXECUTED = ("python", "sh")
@@ -124,9 +124,7 @@ def enter_workspace(folder: Path) -> None:
 
 def main() -> None:
     """Execute the blocks of the pages that the command line names."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_line(__doc__)
     parser.add_argument("pages", nargs="+", type=Path, help="pages in Markdown")
     parser.add_argument("--slow", action="store_true", help="execute the slow blocks as well")
     arguments = parser.parse_args()

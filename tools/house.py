@@ -10,7 +10,6 @@ needs.
 
 from __future__ import annotations
 
-import argparse
 import ast
 import re
 from collections import Counter
@@ -18,6 +17,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from tools.command_line import command_line
 from tools.repository import ROOT
 
 # Words of the private dialect that docs and code no longer use; see CONTRIBUTING.md.
@@ -300,9 +300,7 @@ def _where(function: Function) -> str:
 
 def main() -> None:
     """Print the measures beside their limits."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_line(__doc__)
     parser.add_argument("--list", action="store_true", help="print every finding")
     parser.add_argument("--root", type=Path, default=ROOT, help="repository to measure (default: this one)")
     arguments = parser.parse_args()

@@ -8,7 +8,6 @@ no machine file declares; `examples/rig_b` is the same rig without it. The seed 
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import gzip
 from pathlib import Path
@@ -18,6 +17,7 @@ import numpy as np
 from tests.reference_simulator import Array, Rig
 from tests.reference_simulator.sensors import ENCODER_STEP_RAD
 from tests.rigs.excitation import ExcitationRun, record_runs
+from tools.command_line import command_line
 from tools.repository import ROOT
 
 # True parameters: each differs by 5 to 15 % from the declared (the paper's) one, and the motors differ from each other.
@@ -98,9 +98,7 @@ def encode(run: ExcitationRun, rng: np.random.Generator) -> bytes:
 
 def main() -> None:
     """Write the recordings and their README."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_line(__doc__)
     default = ROOT / "examples"
     parser.add_argument("--out", type=Path, default=default, help="folder (default: examples/)")
     folder: Path = parser.parse_args().out

@@ -13,7 +13,6 @@ for the identification. The scorecard, docs/figures/scorecard_page.png, compares
 
 from __future__ import annotations
 
-import argparse
 import math
 import os
 import shutil
@@ -32,6 +31,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 import hframe_gym
+from tools.command_line import command_line
 from tools.repository import FIGURES, ROOT
 
 CONTROLLERS = {
@@ -285,9 +285,7 @@ def screenshot(browser: str, address: str, path: Path, size: tuple[int, int]) ->
 
 def main() -> None:
     """Make the pictures that the command line names."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_line(__doc__)
     parser.add_argument("--only", choices=("animation", "report", "scorecard"), help="make only this picture")
     only = parser.parse_args().only
     os.environ.setdefault("SDL_VIDEODRIVER", "dummy")

@@ -10,12 +10,12 @@ its options, printed behind it, describe its arguments. Words in braces such as 
 
 from __future__ import annotations
 
-import argparse
 import ast
 import copy
 import random
 from pathlib import Path
 
+from tools.command_line import command_line
 from tools.house import Function, measure
 from tools.repository import ROOT
 
@@ -105,9 +105,7 @@ def describe(function: Function, *, root: Path = ROOT, source: bool = False) -> 
 
 def main() -> None:
     """Print the sample."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_line(__doc__)
     parser.add_argument("--seed", type=int, default=12)
     parser.add_argument("--count", type=int, default=30)
     parser.add_argument("--source", action="store_true", help="print the complete source")

@@ -7,13 +7,13 @@ constraints.txt; later ones do so again only if pyproject.toml or constraints.tx
 
 from __future__ import annotations
 
-import argparse
 import os
 import subprocess
 import venv
 from collections.abc import Callable
 from pathlib import Path
 
+from tools.command_line import command_line
 from tools.repository import ROOT
 
 ENVIRONMENT = ROOT / ".venv"
@@ -119,9 +119,7 @@ def main(arguments: list[str] | None = None) -> None:
     Args:
         arguments: Command line without the program's name. Default: that of the process.
     """
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_line(__doc__)
     texts = [f"{name}: {task.__doc__ or 'only install.'}" for name, task in TASKS.items()]
     parser.add_argument("task", nargs="+", choices=list(TASKS), metavar="TASK", help=" ".join(texts))
     chosen = parser.parse_args(arguments).task

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import tempfile
 from collections.abc import Callable
@@ -11,6 +10,7 @@ from pathlib import Path
 from benchmarks.faults import determinism, disks, kills, load
 from benchmarks.faults.commands import Row, Stage
 from benchmarks.results_file import write_results
+from tools.command_line import command_line
 from tools.posix import require_posix
 from tools.repository import RESULTS
 
@@ -38,9 +38,7 @@ def save(group: str, rows: list[Row]) -> None:
 def main() -> None:
     """Run the groups that the command line names; by default all but `large`."""
     require_posix("benchmarks.faults")
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_line(__doc__)
     names = [*STAGED, *OTHERS]
     parser.add_argument("groups", nargs="*", metavar="GROUP", help=f"any of {', '.join(names)}")
     groups = parser.parse_args().groups or [name for name in names if name != "large"]

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.identification import source_key
+from benchmarks.row_cache import source_key
 from hframe_gym.files import write_text
 from hframe_gym.identification import identify, write_result
 from hframe_gym.machine import Machine

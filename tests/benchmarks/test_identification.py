@@ -1,12 +1,9 @@
 """Test the cache of the identification benchmark, its behavior on exceptions, and what it writes."""
 
 import json
-import shutil
-from pathlib import Path
 
 import pytest
 
-import hframe_gym
 from benchmarks import identification
 from tests.rigs.cases import Case, cases
 
@@ -76,31 +73,3 @@ def test_only_complete_sets_are_written(tmp_path, monkeypatch):
     assert summary["scores"]["right"] == count - 1
     assert summary["median"]["after"] == 1.0
     json.dumps(written)
-
-
-def test_the_cache_depends_on_the_sources_that_identification_uses(tmp_path, monkeypatch):
-    used = (
-        "dynamics/physics",
-        "effects",
-        "identification/judge",
-        "machine",
-        "preparation",
-        "recordings/logs",
-    )
-    package = Path(hframe_gym.__file__).parent
-    for name in (*used, *identification.INDEPENDENT):
-        assert (package / name).is_dir(), name
-        (tmp_path / name).mkdir(parents=True)
-        (tmp_path / name / "module.py").write_text("x = 1\n")
-    monkeypatch.setattr(hframe_gym, "__file__", str(tmp_path / "__init__.py"))
-    keys = [identification.source_key()]
-    for name in used:
-        (tmp_path / name / "module.py").write_text("x = 2\n")
-        keys.append(identification.source_key())
-    assert len(set(keys)) == 1 + len(used)
-    for name in identification.INDEPENDENT:
-        (tmp_path / name / "module.py").write_text("x = 2\n")
-    assert identification.source_key() == keys[-1]
-    shutil.rmtree(tmp_path / identification.INDEPENDENT[0])
-    with pytest.raises(FileNotFoundError, match=r"correct INDEPENDENT"):
-        identification.source_key()

@@ -6,18 +6,15 @@ python -m tools.tables --check    # write nothing; fail if a page is out of date
 
 from __future__ import annotations
 
-import argparse
-
 from hframe_gym.files import write_text
+from tools.command_line import command_line
 from tools.repository import ROOT
 from tools.tables.pages import pages
 
 
 def main() -> None:
     """Write all pages, or check that they are up to date."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_line(__doc__)
     parser.add_argument("--check", action="store_true", help="write nothing; fail if a page is out of date")
     check = parser.parse_args().check
     texts = pages()
