@@ -36,6 +36,7 @@ from hframe_gym.identification import simulate_recording
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import load_recording, machine_to_dict
 from hframe_gym.registry import load_plugins
+from tests.identification.report.axis_results import effect_entry, report_with
 
 pytestmark = pytest.mark.integration
 
@@ -499,8 +500,7 @@ def test_errors_of_an_identification_are_not_cut(width: int) -> None:
     errors = {channel: {"rmse": 1.2345e-5, "noise_ratio": 1234.5} for channel in channels} | {
         "force_error": 0.5
     }
-    report = {stage: {"held_out": errors} for stage in ("declared", "before", "after")}
-    text = printed(cli_tables.identification_table(report, channels), width)
+    text = printed(cli_tables.identification_table(report_with(errors)), width)
     assert set(channels) <= set(text.split())
     assert text.count("0.0123 mrad") == text.count("12.3 µm") == 3 * 2
     assert text.count("1234 x") == 3 * len(channels)
@@ -622,10 +622,10 @@ def test_a_misspelled_name_has_a_suggestion(
 
 def test_identified_effects_are_listed_with_their_parameters_and_a_table_by_its_points() -> None:
     values = {"dF": (2.8393, 4.2e-4, "N"), "n": (2.0, None, "1")}
-    entry = {"name": "stribeck_friction", "site": "x", "family": "friction", "held_out_gain": 0.9}
-    entry["parameters"] = {k: dict(zip(("value", "std", "unit"), v, strict=True)) for k, v in values.items()}
-    table = entry | {"name": "smooth_force[time]", "family": TABLE_FAMILY, "held_out_gain": 0.95}
-    assert cli_tables.effect_lines({"effects": [entry, table]}) == [
+    parameters = {k: dict(zip(("value", "std", "unit"), v, strict=True)) for k, v in values.items()}
+    stribeck = effect_entry("stribeck_friction", "x", parameters=parameters)
+    table = stribeck | {"name": "smooth_force[time]", "family": TABLE_FAMILY, "held_out_gain": 0.95}
+    assert cli_tables.effect_lines(report_with(effects=[stribeck, table])) == [
         "smooth force[time] at x: a table of 1 points",
         "stribeck friction at x: dF = 2.8393 +- 0.00042 N, n = 2",
     ]

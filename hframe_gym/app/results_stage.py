@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import json
-from typing import Any
-
 from nicegui import ui
 from typing_extensions import override
 
 from ..identification.report.answers import tone_of_remainder, verdict_sentence
-from ..identification.report.saved_result import next_command
+from ..identification.report.saved_result import next_command, read_report
 from ..recordings import load_machine
 from .session import MACHINE, RESULT
 from .stage import Stage, State, banner, heading
@@ -34,34 +31,25 @@ class ResultsStage(Stage):
 
     @override
     def missing(self) -> tuple[str, str] | None:
-        if self._report() is None:
-            return "identify", "There is no result yet."
-        return None
+        return None if self.state() else ("identify", "There is no result yet.")
 
     @override
     def state(self) -> State:
-        return "done" if self._report() is not None else ""
+        return "done" if self.session.path(RESULT, "report.json").exists() else ""
 
     @override
     def commands(self) -> list[list[str]]:
         return [["report", RESULT]]
 
-    def _report(self) -> dict[str, Any] | None:
-        """Return the content of report.json; None if there is none."""
-        path = self.session.path(RESULT, "report.json")
-        return json.loads(path.read_text(encoding="utf-8")) if path.exists() else None
-
     @override
     def show(self) -> None:
-        report = self._report()
-        assert report is not None
+        report = read_report(self.session.path(RESULT))
         corrected = load_machine(self.session.path(RESULT, MACHINE))
         page = self.session.path(RESULT, "report.html")
         if not page.exists():
-            sentence = verdict_sentence(report, list(corrected.output_channels))
-            banner(tone_of_remainder(report), _TITLES[report["verdict"]], sentence)
+            banner(tone_of_remainder(report), _TITLES[report.verdict], verdict_sentence(report))
         with ui.element("div").classes("hf-row"):
-            command = next_command(report["verdict"], corrected, self.session.path(RESULT))
+            command = next_command(report.verdict, corrected, self.session.path(RESULT))
             if command.startswith("hframe evaluate"):
                 ui.button("Compare controllers", on_click=lambda: self.page.go("control")).props(
                     "unelevated color=accent"

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from ..data_validation import Finding
     from ..identification import IdentificationResult
     from ..identification.budget import Progress
+    from ..identification.report.document import Report
     from ..machine import Machine
     from ..recordings import Recording
 
@@ -244,11 +245,10 @@ def identify(
         recordings = _load_runs(runs_dir, declared, max_rows)
         with search_progress(log) as progress:
             result, findings = fit(runs_dir, recordings, log, progress)
-        contents, problem = _write_rig(result, findings, runs_dir, out, out, log)
-        channels = list(result.declared.machine.output_channels)
-        console.print(identification_table(contents, channels))
-        log(f"Result: {verdict_sentence(contents, channels)}")
-        for line in effect_lines(contents):
+        report, problem = _write_rig(result, findings, runs_dir, out, out, log)
+        console.print(identification_table(report))
+        log(f"Result: {verdict_sentence(report)}")
+        for line in effect_lines(report):
             log(f"  {line}")
         _log_notes(result, findings)
     if problem is not None and not isinstance(problem, ImportError):
@@ -318,7 +318,7 @@ def _write_rig(
     folder: Path,
     out: Path,
     log: _Log,
-) -> tuple[dict[str, Any], Exception | None]:
+) -> tuple[Report, Exception | None]:
     """Write the files of a result, for `out`; return report.json, and the error of the page, which loses no result."""
     from ..data_validation import group_findings
     from ..identification import write_result
@@ -327,16 +327,14 @@ def _write_rig(
 
     with output_batch(folder):
         comparisons = proposed_formulas(result, log)
-        write_result(
-            result, folder, list(map(str, group_findings(findings))), comparisons, recording_files(runs_dir)
-        )
-        contents = result.as_json() | {"proposed_formulas": [c.as_json() for c in comparisons]}
+        texts = list(map(str, group_findings(findings)))
+        report = write_result(result, folder, texts, comparisons, recording_files(runs_dir))
         try:
             build_report(folder, out)
         except Exception as error:
             remove_file(folder / "report.html")  # of an older result
-            return contents, error
-    return contents, None
+            return report, error
+    return report, None
 
 
 class _Rig(NamedTuple):
@@ -397,12 +395,12 @@ def _identify_in_worker(fit: _Fit, show_progress: bool, rig: _Rig) -> _Identifie
         if isinstance(rig.recordings, InputError):
             raise rig.recordings
         result, findings = fit(rig.runs_dir, rig.recordings, log)
-        (contents, problem), files = files_of(
+        (report, problem), files = files_of(
             lambda folder: _write_rig(result, findings, rig.runs_dir, folder, rig.out, log)
         )
         if problem is not None and not isinstance(problem, ImportError):
             return _IdentifiedRig(describe_failure(problem)[1], files, INTERNAL_ERROR)
-        verdict = verdict_sentence(contents, list(result.declared.machine.output_channels))
+        verdict = verdict_sentence(report)
         return _IdentifiedRig(verdict if problem is None else f"{verdict} No report.html: {problem}", files)
     except Exception as error:  # the other rigs must not be lost
         code, line = describe_failure(error)

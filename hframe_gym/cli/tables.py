@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,16 +27,22 @@ from ..machine import (
 from ..registry import load_plugins
 from ..web_page import number
 
+if TYPE_CHECKING:
+    from ..identification.report.document import ChannelErrors, ParameterValue, Report
+
 _SHORT = {"contour": "contour", "tracking": "track"}  # headings of narrow columns
 BANDS, BOUND_BAND = tuple(METERS.bands), METERS.bound_band  # of protocols, whose machines have linear axes
 LISTED_MODES = 3
+_MACHINE_COLUMNS = {
+    "declared": "declared",
+    "before": "before\n(refitted)",
+    "after": "after\n(with effects)",
+    "plain": "plain fit",
+}
 
 
-def identification_table(report: Mapping[str, Any], channels: Sequence[str]) -> Table:
+def identification_table(report: Report) -> Table:
     """Format the simulation errors of an identification on held-out recordings (those not used for fitting) as a table.
-
-    Args:
-        channels: Names of the machine's output channels (sensors).
 
     Returns:
         Table (rich) with one row per channel and a column for each machine: as declared, with refitted parameters, with
@@ -47,7 +53,8 @@ def identification_table(report: Mapping[str, Any], channels: Sequence[str]) -> 
         lack.
     """
     title = "simulation error on held-out recordings: rms, x: multiple of the sensor noise, % of the motion"
-    lacking = [report[stage].get("missing_force_percent") for stage in ("declared", "before", "after")]
+    machines = report.machines
+    lacking = [evaluation.missing_force_percent for key, evaluation in machines.items() if key != "plain"]
     forces = ", ".join("unknown" if force is None else f"{number(force)} %" for force in lacking)
     caption = (
         None if lacking == [None] * 3 else f"missing force (below 10 Hz), of that of the drives: {forces}"
@@ -55,23 +62,19 @@ def identification_table(report: Mapping[str, Any], channels: Sequence[str]) -> 
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
     table.caption, table.caption_justify = caption, "left"
     table.add_column("channel", overflow="fold")
-    for column in ("declared", "before\n(refitted)", "after\n(with effects)"):
-        table.add_column(column, justify="right")
-    errors = [report[stage]["held_out"] for stage in ("declared", "before", "after")]
-    if plain := report.get("plain"):
-        table.add_column("plain fit", justify="right")
-        errors.append(plain["held_out"])
-    for channel in channels:
-        cells = [e[channel] for e in errors]
-        absent = "diverges" if any(cell["rmse"] is not None for cell in cells) else "not measured"
-        texts = [absent if cell["rmse"] is None else _error_cell(channel, cell) for cell in cells]
-        table.add_row(escape(channel), *texts)
-    if "force_error" in errors[0]:
-        table.add_row("force, relative", *(_force_cell(e) for e in errors))
+    for key in machines:
+        table.add_column(_MACHINE_COLUMNS[key], justify="right")
+    for channel in report.declared.channels:
+        errors = [evaluation.channels[channel] for evaluation in machines.values()]
+        absent = "diverges" if any(error.rmse is not None for error in errors) else "not measured"
+        table.add_row(escape(channel), *(_error_cell(channel, error) or absent for error in errors))
+    if report.declared.force_error is not None:
+        ratios = [evaluation.force_error for evaluation in machines.values()]
+        table.add_row("force, relative", *("" if r is None else f"{100 * r:.2f} %" for r in ratios))
     return table
 
 
-def effect_lines(report: Mapping[str, Any]) -> list[str]:
+def effect_lines(report: Report) -> list[str]:
     """Describe the identified effects with their parameters, one line each, those with the largest gain first.
 
     Returns:
@@ -79,35 +82,29 @@ def effect_lines(report: Mapping[str, Any]) -> list[str]:
         the number of its points.
     """
     lines = []
-    for effect in sorted(report["effects"], key=lambda e: -e["held_out_gain"]):
-        values = [_parameter_text(name, p) for name, p in effect["parameters"].items()]
-        text = (
-            f"a table of {len(values) // 2} points" if effect["family"] == TABLE_FAMILY else ", ".join(values)
-        )
-        lines.append(f"{effect['name'].replace('_', ' ')} at {effect['site']}: {text}")
+    for effect in sorted(report.effects, key=lambda e: -e.held_out_gain):
+        values = [_parameter_text(name, p) for name, p in effect.parameters.items()]
+        text = f"a table of {len(values) // 2} points" if effect.family == TABLE_FAMILY else ", ".join(values)
+        lines.append(f"{effect.name.replace('_', ' ')} at {effect.site}: {text}")
     return lines
 
 
-def _parameter_text(name: str, parameter: Mapping[str, Any]) -> str:
+def _parameter_text(name: str, parameter: ParameterValue) -> str:
     """Return a parameter of report.json with its standard deviation and unit."""
-    spread = "" if parameter["std"] is None else f" +- {parameter['std']:.2g}"
-    unit = "" if parameter["unit"] == "1" else f" {parameter['unit']}"
-    return f"{name} = {parameter['value']:.5g}{spread}{unit}"
+    spread = "" if parameter.std is None else f" +- {parameter.std:.2g}"
+    unit = "" if parameter.unit == "1" else f" {parameter.unit}"
+    return f"{name} = {parameter.value:.5g}{spread}{unit}"
 
 
-def _force_cell(errors: Mapping[str, Any]) -> str:
-    """Return the relative error of the drives' force in percent, "" if there is none."""
-    return f"{100 * errors['force_error']:.2f} %" if "force_error" in errors else ""
-
-
-def _error_cell(channel: str, error: Mapping[str, Any]) -> str:
-    """Return an rms error in a readable unit, as a multiple of the noise and in percent of the motion, one a line."""
+def _error_cell(channel: str, error: ChannelErrors) -> str:
+    """Return an rms error, its multiple of the noise and its percentage of the motion, one a line; "" if unknown."""
     from ..identification.report.units import readable_unit
 
-    factor, unit = readable_unit(channel, error["rmse"])
-    motion = error.get("percent_of_motion")
-    percent = "" if motion is None else f"\n{number(motion)} %"
-    return f"{number(factor * error['rmse'])} {unit}\n{number(error['noise_ratio'])} x{percent}"
+    if error.rmse is None:
+        return ""
+    factor, unit = readable_unit(channel, error.rmse)
+    percent = "" if error.percent_of_motion is None else f"\n{number(error.percent_of_motion)} %"
+    return f"{number(factor * error.rmse)} {unit}\n{number(error.noise_ratio)} x{percent}"
 
 
 def score_table(scores: Mapping[str, Any]) -> Table:

@@ -16,7 +16,7 @@ from ..fit.parameter_diagnostics import parameter_doubts
 from ..judge.criteria import SelectionCriteria
 from ..judge.table import is_better_than_table
 from .curves import channel_noise, run_ratio
-from .document import STAGES
+from .document import STAGES, Evaluation, Report
 from .saved_result import SavedResult
 from .units import readable_unit
 
@@ -71,9 +71,9 @@ def answers(
 def _wrong(saved: SavedResult) -> list[str]:
     """Return what is wrong with the declared machine."""
     report = saved.report
-    if report["verdict"] == "effect_found":
+    if report.verdict == "effect_found":
         return [f"{_found(report)}.", *_changes(saved)]
-    if report["verdict"] == "no_effect":
+    if report.verdict == "no_effect":
         nothing = "No effect was found." if _cause_of_remainder(report) else "No effect is missing."
         return [nothing, *(_changes(saved) or ["No parameter differs clearly from its declared value."])]
     unknown = "The model lacks something that no known effect explains."
@@ -99,17 +99,14 @@ def _changes(saved: SavedResult) -> list[str]:
 def _certainty(saved: SavedResult, effects: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return how sure the verdict is: what the held-out runs say, what else explains them, what is uncertain."""
     report = saved.report
-    if report["verdict"] == "unexplained":
-        why = (
-            report.get("reason")
-            or "no effect of the library passes the tests on the fitted and the held-out runs"
-        )
+    if report.verdict == "unexplained":
+        why = report.reason or "no effect of the library passes the tests on the fitted and the held-out runs"
         return [f"No name is given: {why}."]
     sentences = []
     if effects:
         sentences += removed_by_effects(report)
         rivals = [f"{e['name']} at {e['site']} (or {', '.join(e['rivals'])})" for e in effects if e["rivals"]]
-        others = "effect that was tried" if report.get("unfinished") else "effect of the library"
+        others = "effect that was tried" if report.unfinished else "effect of the library"
         sentences.append(
             f"These runs do not tell apart: {'; '.join(rivals)}."
             if rivals
@@ -119,19 +116,19 @@ def _certainty(saved: SavedResult, effects: Sequence[Mapping[str, Any]]) -> list
     return [*sentences, _whiteness(report)]
 
 
-def removed_by_effects(report: Mapping[str, Any]) -> list[str]:
+def removed_by_effects(report: Report) -> list[str]:
     """Return how much of the simulation error the effects remove, and why it is little, if it is.
 
     Args:
         report: Content of report.json.
     """
-    if (explained := report.get("explained")) is None:
+    if (explained := report.explained) is None:
         return []
     removed = (
         f"The effects remove {percent(max(explained, 0.0))} % of the squared error beyond the noise on runs to which "
         "nothing was fitted."
     )
-    left = report.get("left")
+    left = report.left
     at_noise = left is not None and left <= SelectionCriteria().max_noise_ratio_explained
     if explained >= _MAIN_PART or at_noise:
         return [removed]
@@ -155,11 +152,11 @@ def _precision(machine: Machine) -> list[str]:
     return [f"The least certain parameter of the effects is {name}: its standard deviation is {percents} %."]
 
 
-def _whiteness(report: Mapping[str, Any]) -> str:
+def _whiteness(report: Report) -> str:
     """Return whether noise explains the error that is left."""
-    if report["residual"]["white"]:
+    if report.residual.white:
         return "The remaining error is consistent with the sensors' noise."
-    if (report.get("left") or math.inf) < _NOTICEABLE_ERROR:
+    if (report.left or math.inf) < _NOTICEABLE_ERROR:
         return (
             "The remaining error is about as large as the sensors' noise, but it is correlated in time: a small "
             "systematic part is left."
@@ -167,26 +164,26 @@ def _whiteness(report: Mapping[str, Any]) -> str:
     return "The remaining error is larger than the sensors' noise."
 
 
-def _left(report: Mapping[str, Any]) -> list[str]:
+def _left(report: Report) -> list[str]:
     """Return the error that is left, in the user's terms, and why it is, if that is known."""
     left = _left_parts(report)
     if not left:
         return ["The simulation diverges, so that it has no error."]
-    why = "" if report["verdict"] == "unexplained" else _cause_of_remainder(report)
+    why = "" if report.verdict == "unexplained" else _cause_of_remainder(report)
     return [f"{'; '.join(left)}{why or '.'}"]
 
 
 def _left_at_belts(saved: SavedResult) -> list[str]:
     """Return the error of a machine without linear sensors as a distance: that of its pulleys' circumference."""
-    machine, errors = saved.machine, saved.report["after"]["held_out"]
+    machine, errors = saved.machine, saved.report.after.channels
     if not machine.belts or any(sensor.channel.endswith("_m") for sensor in machine.sensors):
         return []
     pulleys = {c.name: c.radius for c in machine.coordinates if c.kind == "rotary"}
     travels = {
-        sensor.channel: abs(factor) * pulleys[name] * errors[sensor.channel]["rmse"]
+        sensor.channel: abs(factor) * pulleys[name] * rmse
         for sensor in machine.sensors
         for name, factor in sensor.row.items()
-        if sensor.of_position and name in pulleys and errors[sensor.channel]["rmse"] is not None
+        if sensor.of_position and name in pulleys and (rmse := errors[sensor.channel].rmse) is not None
     }
     if not travels:
         return []
@@ -213,9 +210,7 @@ def _worst_run(saved: SavedResult, runs: Sequence[str]) -> list[str]:
     return [text]
 
 
-def _largest_deviation(
-    report: Mapping[str, Any], curves: Mapping[str, Array], run: str, channels: Sequence[str]
-) -> str:
+def _largest_deviation(report: Report, curves: Mapping[str, Array], run: str, channels: Sequence[str]) -> str:
     """Return a clause about the largest deviation, of the channel that deviates most in multiples of its noise."""
     time_s, errors = curves[f"{run}/time_s"], np.abs(np.nan_to_num(curves[f"{run}/after"]))
     sizes = [
@@ -231,7 +226,7 @@ def _largest_deviation(
     return f", up to {number(size)} {unit} at {channels[j]} after {after_s:.3g} s"
 
 
-def tone_of_remainder(report: Mapping[str, Any]) -> Literal["good", "neutral", "warning"]:
+def tone_of_remainder(report: Report) -> Literal["good", "neutral", "warning"]:
     """Return the tone of the page, which follows from the error that is left and not from the names that were found.
 
     Args:
@@ -242,19 +237,18 @@ def tone_of_remainder(report: Mapping[str, Any]) -> Literal["good", "neutral", "
         motion of every channel, and the verdict is not "unexplained"; otherwise "neutral" if it is at most 1 % of the
         motion of every channel; "warning" if it is larger, or the simulation diverges.
     """
-    criteria, left = SelectionCriteria(), report.get("left")
-    errors = report["after"]["held_out"].values()
-    percents = [e["percent_of_motion"] for e in errors if isinstance(e, dict) and e.get("percent_of_motion")]
+    criteria, left = SelectionCriteria(), report.left
+    percents = report.after.percents_of_motion
     largest = max(percents, default=0.0)
     if left is None:
         return "warning"
     at_noise = left <= criteria.max_noise_ratio_explained and largest <= 100.0 * criteria.max_motion_error
-    if at_noise and report["verdict"] != "unexplained":
+    if at_noise and report.verdict != "unexplained":
         return "good"
     return "neutral" if percents and largest <= _SMALL_PERCENT_OF_MOTION else "warning"
 
 
-def verdict_sentence(report: Mapping[str, Any], channels: Sequence[str]) -> str:
+def verdict_sentence(report: Report) -> str:
     """Describe in words the verdict and the error on the held-out runs, which were not fitted.
 
     The error is the simulation error in units of the sensors' noise, root mean square over the channels. If the
@@ -262,32 +256,27 @@ def verdict_sentence(report: Mapping[str, Any], channels: Sequence[str]) -> str:
 
     Args:
         report: Content of report.json.
-        channels: Names of the machine's output channels.
 
     Returns:
         One or more English sentences.
     """
-    return " ".join(
-        [*unknown_voltages(report), *_undeclared_friction(report), _verdict_sentence(report, channels)]
-    )
+    return " ".join([*unknown_voltages(report), *_undeclared_friction(report), _verdict_sentence(report)])
 
 
-def _undeclared_friction(report: Mapping[str, Any]) -> list[str]:
+def _undeclared_friction(report: Report) -> list[str]:
     """Return a sentence about friction that the motion shows and the machine file does not declare."""
     texts = []
-    for friction in report.get("undeclared_friction", ()):
-        std = "" if friction["std"] is None else f" +- {friction['std']:.2g}"
-        share = friction["percent_of_drives"]
+    for friction in report.undeclared_friction:
+        std = "" if friction.std is None else f" +- {friction.std:.2g}"
+        share = friction.percent_of_drives
         of_drives = "" if share is None else f" ({share:.2g} % of the drives' largest force)"
-        texts.append(
-            f"{friction['parameter']} is {number(friction['value'])}{std} {friction['unit']}{of_drives}"
-        )
+        texts.append(f"{friction.parameter} is {number(friction.value)}{std} {friction.unit}{of_drives}")
     if not texts:
         return []
     return [f"The machine has friction that its file does not declare: {', '.join(texts)}."]
 
 
-def unknown_voltages(report: Mapping[str, Any]) -> list[str]:
+def unknown_voltages(report: Report) -> list[str]:
     """Return sentences about the voltages that a log slower than its controller does not contain.
 
     Args:
@@ -296,11 +285,9 @@ def unknown_voltages(report: Mapping[str, Any]) -> list[str]:
     Returns:
         What is missing, what that limits, and what to do; nothing if the log contains all voltages.
     """
-    if (unknown := report.get("unknown_voltages")) is None:
+    if (unknown := report.unknown_voltages) is None:
         return []
-    positions = {c: e for c, e in unknown["errors"].items() if c.endswith(("_m", "_rad"))} or unknown[
-        "errors"
-    ]
+    positions = {c: e for c, e in unknown.errors.items() if c.endswith(("_m", "_rad"))} or unknown.errors
     largest: dict[str, tuple[float, str]] = {}
     for channel, error in positions.items():
         kind = channel.rpartition("_")[2]
@@ -309,14 +296,14 @@ def unknown_voltages(report: Mapping[str, Any]) -> list[str]:
     for error, channel in largest.values():
         factor, unit = readable_unit(channel, error)
         sizes.append(f"{number(factor * error)} {unit} at {channel}")
-    period = f"{1e3 * unknown['period_s']:.3g} ms"
-    by_instruments = unknown.get("fitted_by") == "instruments"
-    commands = unknown.get("commands", "voltages")
+    period = f"{1e3 * unknown.period_s:.3g} ms"
+    by_instruments = unknown.fitted_by == "instruments"
+    commands = unknown.commands
     advice = f"log every row of the controller (every {period})"
     if commands != "set points":
         advice += ", or describe the drives by their set point and log that"
     return [
-        f"The controller changes the {commands} about {unknown['changes_per_row']} times between two rows of this log "
+        f"The controller changes the {commands} about {unknown.changes_per_row} times between two rows of this log "
         f"(every {period}), and the log does not contain these {commands}.",
         f"A simulation of the held-out runs therefore errs by {' and '.join(sizes)} (rms), whatever the machine: what "
         "changes the motion by less cannot be found.",
@@ -325,39 +312,38 @@ def unknown_voltages(report: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def _verdict_sentence(report: Mapping[str, Any], channels: Sequence[str]) -> str:
+def _verdict_sentence(report: Report) -> str:
     """Describe the verdict and the error on the held-out runs."""
-    by_force = drifts(report, channels)
-    unit = "% of the drives' force" if by_force else "times the sensors' noise"
-    errors = {
-        stage: 100 * report[stage]["held_out"]["force_error"]
-        if by_force
-        else noise_ratio(report, stage, channels)
-        for stage in STAGES
-    }
+    errors: dict[str, float | None]
+    if drifts(report):
+        unit = "% of the drives' force"
+        errors = {stage: 100.0 * (report.machines[stage].force_error or 0.0) for stage in STAGES}
+    else:
+        unit = "times the sensors' noise"
+        errors = {stage: report.machines[stage].noise_ratio for stage in STAGES}
     before, after = (number(errors[stage], _DIVERGES) for stage in ("before", "after"))
     declared, refitted = errors["declared"], errors["before"]
     if declared is not None and refitted is not None and declared < _CLEARLY_BETTER * refitted:
         before += (
             f" (with the declared parameters: {number(declared)})"  # The refit minimizes short predictions.
         )
-    if report["verdict"] == "effect_found":
+    if report.verdict == "effect_found":
         change = "rises" if (errors["after"] or 0.0) > (refitted or np.inf) else "falls"  # None: it diverges
-        pronoun = "it" if len(report["effects"]) == 1 else "them"
+        pronoun = "it" if len(report.effects) == 1 else "them"
         found = (
             f"{_found(report)}. With {pronoun}, the error on the held-out runs "
             f"{change} from {before} to {after} {unit}.{_remainder(report)}"
         )
         return " ".join([*_left_in_words(report), found, *_unfinished(report)])
-    if report["verdict"] == "no_effect":
+    if report.verdict == "no_effect":
         remainder = _remainder(report)
         start = f"No effect {'was found' if remainder else 'is missing'}: with refitted parameters, the error of the"
         found = f"{start} declared model on the held-out runs is {before} {unit}.{remainder}"
         return " ".join([found, *([] if remainder else _left_in_words(report)), *_unfinished(report)])
     text = f"The error of the refitted model on the held-out runs is {before} {unit}, and no known effect explains it."
-    if (report.get("plain") or {}).get("delivered"):
+    if report.plain and report.plain.delivered:
         text += f" A plain fit of inertia and friction leaves {after} {unit}, and is delivered."
-    why = [f"Why no other verdict is given: {report['reason']}."] if report.get("reason") else []
+    why = [f"Why no other verdict is given: {report.reason}."] if report.reason else []
     parts = [
         text,
         *_left_in_words(report),
@@ -369,32 +355,27 @@ def _verdict_sentence(report: Mapping[str, Any], channels: Sequence[str]) -> str
     return " ".join(parts)
 
 
-def _found(report: Mapping[str, Any]) -> str:
+def _found(report: Report) -> str:
     """Return a clause that names the effects."""
-    names = ", ".join(f"{e['name'].replace('_', ' ')} at {e['site']}" for e in report["effects"])
-    subject = "an effect" if len(report["effects"]) == 1 else f"{len(report['effects'])} effects"
+    names = ", ".join(f"{e.name.replace('_', ' ')} at {e.site}" for e in report.effects)
+    subject = "an effect" if len(report.effects) == 1 else f"{len(report.effects)} effects"
     return f"The machine has {subject} that its model lacks: {names}"
 
 
-def _left_in_words(report: Mapping[str, Any]) -> list[str]:
+def _left_in_words(report: Report) -> list[str]:
     """Return a sentence about the error that is left in the user's terms, if it is known."""
     parts = _left_parts(report)
     return [f"Left on the held-out runs: {'; '.join(parts)}."] if len(parts) > 1 else []
 
 
-def _left_parts(report: Mapping[str, Any]) -> list[str]:
+def _left_parts(report: Report) -> list[str]:
     """Return the error that is left: the largest one in mm, all in multiples of the noise, of the motion, the force."""
-    if report.get("left") is None:
+    if report.left is None:
         return []
-    errors = report["after"]["held_out"]
-    motions = [
-        e["percent_of_motion"] for e in errors.values() if isinstance(e, dict) and e.get("percent_of_motion")
-    ]
-    force = report["after"].get("missing_force_percent")
-    left = f"{number(report['left'])} times the sensors' noise"
-    channels = [e for e in errors.values() if isinstance(e, dict)]
-    of_all = f"; over all channels {left}" if len(channels) > 1 else f", {left}"
-    parts = [largest_position_error(errors) + of_all]
+    motions, force = report.after.percents_of_motion, report.after.missing_force_percent
+    left = f"{number(report.left)} times the sensors' noise"
+    of_all = f"; over all channels {left}" if len(report.after.channels) > 1 else f", {left}"
+    parts = [largest_position_error(report.after) + of_all]
     if motions:
         parts.append(f"{number(max(motions))} % of the motion of the channel where that is most")
     if force:
@@ -402,74 +383,54 @@ def _left_parts(report: Mapping[str, Any]) -> list[str]:
     return parts
 
 
-def _nearest(report: Mapping[str, Any]) -> list[str]:
+def _nearest(report: Report) -> list[str]:
     """Return a sentence about the effects of the library that describe a part of the missing force."""
-    labels = (report.get("hint") or {}).get("nearest")
+    labels = report.hint.nearest if report.hint else []
     return (
         [f"The nearest effects of the library, which are no causes: {', '.join(labels)}."] if labels else []
     )
 
 
-def _unfinished(report: Mapping[str, Any]) -> list[str]:
+def _unfinished(report: Report) -> list[str]:
     """Return a sentence about a search that ended early."""
-    unfinished = report.get("unfinished")
-    return (
-        [f"The search is not complete: {unfinished['reason']} ({unfinished['stage']})."] if unfinished else []
-    )
+    unfinished = report.unfinished
+    return [f"The search is not complete: {unfinished.reason} ({unfinished.stage})."] if unfinished else []
 
 
-def noise_ratio(report: Mapping[str, Any], stage: str, channels: Sequence[str]) -> float | None:
-    """Return the error in multiples of the noise, rms over the channels as of `left`; None if the machine diverges.
-
-    Args:
-        report: Content of report.json.
-        stage: Machine: "declared", "before" or "after".
-        channels: Names of the output channels.
-    """
-    errors = report[stage]["held_out"]
-    measured = [errors[c]["noise_ratio"] for c in channels if errors[c]["noise_ratio"] is not None]
-    return float(np.sqrt(np.mean(np.square(measured)))) if measured else None
-
-
-def drifts(report: Mapping[str, Any], channels: Sequence[str]) -> bool:
+def drifts(report: Report) -> bool:
     """Return whether the simulation drifts, so that the error of the drives' force describes the machine better.
 
     Args:
         report: Content of report.json.
-        channels: Names of the output channels.
     """
-    ratio = noise_ratio(report, "after", channels)
-    if "force_error" not in report["after"]["held_out"] or ratio is None or ratio <= _MAX_NOISE_RATIO:
+    ratio = report.after.noise_ratio
+    if report.after.force_error is None or ratio is None or ratio <= _MAX_NOISE_RATIO:
         return False
-    errors = [report[stage]["held_out"][c] for stage in ("before", "after") for c in channels]
-    percents = [e["percent_of_motion"] for e in errors if e.get("percent_of_motion") is not None]
+    percents = [*report.before.percents_of_motion, *report.after.percents_of_motion]
     return not percents or max(percents) > _MAX_PERCENT_OF_MOTION
 
 
-def _remainder(report: Mapping[str, Any]) -> str:
+def _remainder(report: Report) -> str:
     """Return a sentence about the error that the machine of the verdict leaves, "" if it is the sensors' noise."""
     if not (why := _cause_of_remainder(report)):
         return ""
-    error = (
-        f"{number(report['left'])} times the sensors' noise "
-        f"({largest_position_error(report['after']['held_out'])})"
-    )
+    error = f"{number(report.left)} times the sensors' noise ({largest_position_error(report.after)})"
     return f" An error of {error} is left{why}"
 
 
-def _cause_of_remainder(report: Mapping[str, Any]) -> str:
+def _cause_of_remainder(report: Report) -> str:
     """Return the end of a sentence about the error that is left: why that is; "" if it is the sensors' noise."""
-    if (left := report.get("left")) is None or left < _NOTICEABLE_ERROR:
+    if (left := report.left) is None or left < _NOTICEABLE_ERROR:
         return ""
-    if not (runs := report.get("contradicting", [])):
+    if not (runs := report.contradicting):
         return f"{reason_of_remainder(report)}."
     subject = f"{' and '.join(runs)} contradict{'s' if len(runs) == 1 else ''}"
-    others = report.get("left_in_others")
+    others = report.left_in_others
     elsewhere = "" if others is None else f" On the other held-out runs, it is {number(others)} times."
     return f", because {subject} the fitted runs (see the warnings).{elsewhere}"
 
 
-def reason_of_remainder(report: Mapping[str, Any]) -> str:
+def reason_of_remainder(report: Report) -> str:
     """Return a clause about the error that the machine of the verdict leaves on the held-out runs.
 
     Args:
@@ -480,60 +441,59 @@ def reason_of_remainder(report: Mapping[str, Any]) -> str:
         describe, for another machine with a table; that voltages which the log lacks may be the cause; or that it is
         not known.
     """
-    tables = any(effect["name"].partition("[")[0] in HOOK_OF_KIND for effect in report["effects"])
+    tables = any(effect.name.partition("[")[0] in HOOK_OF_KIND for effect in report.effects)
     formulas = {
-        math.sqrt(sum(error**2 for error in f["held_out"].values()) / len(f["held_out"])): " + ".join(
-            f["terms"]
-        )
-        for table in report.get("proposed_formulas", ())
-        for f in table["formulas"]
-        if f["recommended"] and f["held_out"]
+        math.sqrt(sum(error**2 for error in f.held_out.values()) / len(f.held_out)): " + ".join(f.terms)
+        for table in report.proposed_formulas
+        for f in table.formulas
+        if f.recommended and f.held_out
     }
     error = min(formulas, default=math.inf)  # ratio of simulation error to noise, as `left`
-    if is_better_than_table(error, report["left"]):
+    if report.left is not None and is_better_than_table(error, report.left):
         return f"; with the proposed formula ({formulas[error]}) in place of the table, it is {number(error)} times"
     if tables:
         return ". A table has straight pieces and names no cause"
-    if report.get("unknown_voltages"):
-        commands = report["unknown_voltages"].get("commands", "voltages")
+    if report.unknown_voltages:
+        commands = report.unknown_voltages.commands
         return f", of which the unknown {commands} between the rows may cause a part or all"
     return ", whose cause was not found"
 
 
-def largest_position_error(errors: Mapping[str, Any]) -> str:
+def largest_position_error(evaluation: Evaluation) -> str:
     """Return the largest rms error of the position channels, in words.
 
     Lengths come first, then angles. Of channels of other kinds, whose units do not compare, it is the error of the
     channel with the largest multiple of its noise.
 
     Args:
-        errors: Errors by channel as in report.json, with "rmse" in the channel's unit and "noise_ratio".
+        evaluation: Errors of a machine.
     """
-    measured = {c: e for c, e in errors.items() if isinstance(e, dict) and e["rmse"] is not None}
+    errors = evaluation.channels
+    measured = {channel: error.rmse for channel, error in errors.items() if error.rmse is not None}
     if not measured:
         return "diverges, or not measured"
     unit_of_positions = next((u for u in ("_m", "_rad") if any(c.endswith(u) for c in measured)), None)
     if unit_of_positions is None:
-        channel = max(measured, key=lambda c: measured[c]["noise_ratio"] or 0.0)  # None without noise
+        channel = max(measured, key=lambda c: errors[c].noise_ratio or 0.0)  # None without noise
     else:
         positions = [c for c in measured if c.endswith(unit_of_positions)]
-        channel = max(positions, key=lambda c: measured[c]["rmse"])
-    rmse = measured[channel]["rmse"]
+        channel = max(positions, key=lambda c: measured[c])
+    rmse = measured[channel]
     factor, unit = readable_unit(channel, rmse)
     return f"{number(factor * rmse)} {unit} rms at {channel}"
 
 
-def _dependence_sentences(report: Mapping[str, Any]) -> list[str]:
+def _dependence_sentences(report: Report) -> list[str]:
     """Return a sentence about sensors that deviate alone, or about the variable that explains most of the force."""
-    if sensors := report["residual"].get("sensors"):
+    if sensors := report.residual.sensors:
         return [_DEVIATING.format(" and ".join(sensors), "s" if len(sensors) == 1 else "")]
     sentences = []
-    for d in report["residual"]["depends_on"][:1]:
-        component = d.get("component") or d["coordinate"]
-        where = f"on {d['coordinate']}" if component == d["coordinate"] else f"(most likely at {component})"
+    for d in report.residual.depends_on[:1]:
+        component = d.component or d.coordinate
+        where = f"on {d.coordinate}" if component == d.coordinate else f"(most likely at {component})"
         sentences.append(
-            f"The force that the model lacks {where} depends most on {d['variable']}, which explains "
-            f"{100 * d['share']:.0f} % of its variance."
+            f"The force that the model lacks {where} depends most on {d.variable}, which explains "
+            f"{100 * d.share:.0f} % of its variance."
         )
     return sentences
 

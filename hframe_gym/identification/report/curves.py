@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ...arrays import Array
 from ...web_page import number
-from .document import compared_machines
+from .document import Report, compared_machines
 from .units import readable_unit
 
 _COLORS = {"declared": "declared", "plain": "series3", "before": "before", "after": "after"}
@@ -27,13 +27,13 @@ _FAR = 3.0  # Error relative to that of the refitted machine above which a curve
 _KEPT_PER_BUCKET = 5  # first row, smallest and largest error of two machines
 
 
-def _drawn_machines(report: Mapping[str, Any], curves: Mapping[str, Array]) -> dict[str, str]:
+def _drawn_machines(report: Report, curves: Mapping[str, Array]) -> dict[str, str]:
     """Return the machines whose simulations are drawn, with their labels: those whose curves are known."""
-    run = report["runs"]["held_out"][0]
+    run = report.runs.held_out[0]
     return {key: label for key, label in compared_machines(report).items() if f"{run}/{key}" in curves}
 
 
-def channel_noise(report: Mapping[str, Any], channel: str) -> float | None:
+def channel_noise(report: Report, channel: str) -> float | None:
     """Return the standard deviation of a sensor's noise in the unit of its channel.
 
     Args:
@@ -44,14 +44,14 @@ def channel_noise(report: Mapping[str, Any], channel: str) -> float | None:
         Standard deviation, m, rad or the unit of another quantity; None if every machine diverges or it is not known.
     """
     for stage in ("after", "before", "declared"):
-        error = report[stage]["held_out"][channel]
-        if error["rmse"] and error["noise_ratio"]:
-            return float(error["rmse"] / error["noise_ratio"])
+        error = report.machines[stage].channels[channel]
+        if error.rmse and error.noise_ratio:
+            return error.rmse / error.noise_ratio
     return None
 
 
 def run_ratio(
-    report: Mapping[str, Any],
+    report: Report,
     curves: Mapping[str, Array],
     run: str,
     channels: Sequence[str],
@@ -82,7 +82,7 @@ def run_ratio(
     return math.sqrt(sum(squares) / len(squares)) if squares else None
 
 
-def worst_first(report: Mapping[str, Any], curves: Mapping[str, Array], channels: Sequence[str]) -> list[str]:
+def worst_first(report: Report, curves: Mapping[str, Array], channels: Sequence[str]) -> list[str]:
     """Return the names of the held-out runs by decreasing error of the delivered machine.
 
     Args:
@@ -90,13 +90,11 @@ def worst_first(report: Mapping[str, Any], curves: Mapping[str, Array], channels
         curves: Curves by name, SI, shape (n,) or (n, sensors); see `plot_data`.
         channels: Names of the output channels.
     """
-    ratios = {run: run_ratio(report, curves, run, channels) for run in report["runs"]["held_out"]}
+    ratios = {run: run_ratio(report, curves, run, channels) for run in report.runs.held_out}
     return sorted(ratios, key=lambda run: -(ratios[run] or 0.0))
 
 
-def page_curves(
-    report: Mapping[str, Any], curves: Mapping[str, Array], channels: Sequence[str]
-) -> dict[str, Any]:
+def page_curves(report: Report, curves: Mapping[str, Array], channels: Sequence[str]) -> dict[str, Any]:
     """Return what the script of the page draws, as content of a JSON document.
 
     Every run and channel has one set of rows for all its curves: the first of each interval of time, and those with the
@@ -141,7 +139,7 @@ def page_curves(
 
 
 def _far(
-    report: Mapping[str, Any], curves: Mapping[str, Array], runs: Sequence[str], channels: Sequence[str]
+    report: Report, curves: Mapping[str, Array], runs: Sequence[str], channels: Sequence[str]
 ) -> set[str]:
     """Return the machines whose errors on the worst run are so large that those of the others would look like zero."""
     ratios = {
@@ -159,7 +157,7 @@ def _run_label(ratio: float | None, run: str) -> str:
 
 
 def _channel_curves(
-    report: Mapping[str, Any],
+    report: Report,
     curves: Mapping[str, Array],
     run: str,
     channel: str,

@@ -5,7 +5,7 @@ Fields with a default are missing in results of older versions. Text is for the 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
 from typing import Any, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
@@ -73,6 +73,29 @@ class Evaluation(Entry):
 
     held_out: dict[str, ChannelErrors | FiniteFloat]
     missing_force_percent: FiniteFloat | None = None
+
+    @property
+    def channels(self) -> dict[str, ChannelErrors]:
+        """The errors by channel."""
+        return {name: error for name, error in self.held_out.items() if isinstance(error, ChannelErrors)}
+
+    @property
+    def force_error(self) -> float | None:
+        """Error of the drives' force by inverse dynamics over that force, rms, dimensionless; None if there is none."""
+        error = self.held_out.get("force_error")
+        return None if isinstance(error, ChannelErrors) else error
+
+    @property
+    def noise_ratio(self) -> float | None:
+        """Error in multiples of the noise, rms over the channels as `Report.left`; None if the machine diverges."""
+        ratios = [error.noise_ratio for error in self.channels.values() if error.noise_ratio is not None]
+        return math.sqrt(sum(ratio**2 for ratio in ratios) / len(ratios)) if ratios else None
+
+    @property
+    def percents_of_motion(self) -> list[float]:
+        """Errors of the channels that move, in percent of their motion."""
+        percents = (error.percent_of_motion for error in self.channels.values())
+        return [percent for percent in percents if percent is not None]
 
 
 class Plain(Evaluation):
@@ -276,8 +299,14 @@ class Report(Entry):
     proposed_formulas: list[TableOfFormulas] = []
     made: Made | None = None
 
+    @property
+    def machines(self) -> dict[str, Evaluation]:
+        """The machines with their errors, by key: those of `STAGES`, and "plain" if there is a plain fit."""
+        machines = {stage: getattr(self, stage) for stage in STAGES}
+        return machines | ({"plain": self.plain} if self.plain else {})
 
-def compared_machines(report: Mapping[str, Any]) -> dict[str, str]:
+
+def compared_machines(report: Report) -> dict[str, str]:
     """Return the machines that the report compares, with their labels, in the order in which they are shown.
 
     Args:
@@ -288,8 +317,8 @@ def compared_machines(report: Mapping[str, Any]) -> dict[str, str]:
         "after", the machine that is delivered, if it is not the refitted one.
     """
     labels = {"declared": "as declared", "plain": "plain fit", "before": "refitted"}
-    if not report.get("plain"):
+    if not report.plain:
         del labels["plain"]
-    if report["effects"] or report["after"]["held_out"] != report["before"]["held_out"]:
-        labels["after"] = "with effects" if report["effects"] else "delivered"
+    if report.effects or report.after.held_out != report.before.held_out:
+        labels["after"] = "with effects" if report.effects else "delivered"
     return labels

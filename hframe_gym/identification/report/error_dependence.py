@@ -14,6 +14,7 @@ from ...recordings import split_unit
 from ...web_page import Panel, color, number
 from .correlations import CONFIDENCE
 from .curves import channel_noise
+from .document import Report
 from .units import readable_unit
 
 _BINS = 40  # intervals of position or speed, of equal width
@@ -22,7 +23,7 @@ _MIN_ROWS = 20  # of an interval, so that its mean has a normal distribution wha
 _SMOOTHED_S = 0.02
 
 
-def error_panels(report: Mapping[str, Any], curves: Mapping[str, Array], machine: Machine) -> list[Panel]:
+def error_panels(report: Report, curves: Mapping[str, Array], machine: Machine) -> list[Panel]:
     """Prepare a plot of the error of each channel over its own value, and of a position also over its speed.
 
     Position and speed are measured, so that they do not depend on the machine that is judged. All held-out runs count.
@@ -40,7 +41,7 @@ def error_panels(report: Mapping[str, Any], curves: Mapping[str, Array], machine
     for j, channel in enumerate(machine.output_channels):
         runs = [
             (curves[f"{run}/time_s"], curves[f"{run}/measured"][:, j], curves[f"{run}/after"][:, j])
-            for run in report["runs"]["held_out"]
+            for run in report.runs.held_out
         ]
         errors = np.concatenate([error for _, _, error in runs])
         values = {"": np.concatenate([measured for _, measured, _ in runs])}

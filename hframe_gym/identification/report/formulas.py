@@ -19,7 +19,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -69,8 +68,8 @@ class ProposedFormula:
         """
         return mean_error(self.held_out)
 
-    def as_json(self) -> dict[str, Any]:
-        """Return the formula as in report.json (`document.Formula`)."""
+    def as_entry(self) -> document.Formula:
+        """Return the formula as in report.json."""
         effect, formula = self.effect, self.effect.formula
         return document.Formula(
             table=effect.table.label,
@@ -82,11 +81,11 @@ class ProposedFormula:
             fitted=self.fitted,
             held_out=self.held_out,
             recommended=self.recommended,
-        ).as_json()
+        )
 
     @classmethod
-    def from_json(cls, entry: dict[str, Any], machine: Machine, table: AppliedEffect) -> ProposedFormula:
-        """Create a formula from the entry that `as_json` returned.
+    def from_entry(cls, entry: document.Formula, machine: Machine, table: AppliedEffect) -> ProposedFormula:
+        """Create a formula from the entry that `as_entry` returned.
 
         Args:
             entry: One of the `formulas` of `proposed_formulas` in report.json; its parameters are in the order of the
@@ -101,15 +100,15 @@ class ProposedFormula:
             InputError: If a term is unknown or the number of parameters does not fit the terms.
         """
         known = {term.name: term for term in terms_of_table(table)}
-        terms = tuple(known[name] for name in entry["terms"] if name in known)
-        formula = Formula(terms, (), (), entry["curve_error"])
-        if len(terms) != len(entry["terms"]) or formula.complexity != len(entry["parameters"]):
+        terms = tuple(known[name] for name in entry.terms if name in known)
+        formula = Formula(terms, (), (), entry.curve_error)
+        if len(terms) != len(entry.terms) or formula.complexity != len(entry.parameters):
             raise InputError(
-                f"report.json: proposed_formulas: {table.label}: the formula {entry['formula']!r} has an unknown term "
+                f"report.json: proposed_formulas: {table.label}: the formula {entry.formula!r} has an unknown term "
                 "or lacks parameters; run `hframe identify` again to write the folder anew"
             )
-        effect = FormulaEffect(_NAME, formula.with_values(entry["parameters"].values()), table, machine)
-        return cls(effect, entry["fitted"], entry["held_out"], entry["recommended"])
+        effect = FormulaEffect(_NAME, formula.with_values(entry.parameters.values()), table, machine)
+        return cls(effect, entry.fitted, entry.held_out, entry.recommended)
 
     def with_name(self, name: str, table_error: float) -> ProposedFormula:
         """Return a copy whose effect has a given name, and a note that states the accuracy of the formula.
@@ -165,17 +164,15 @@ class TableComparison:
         """Mean over the channels of rms error / sensor noise, dimensionless, on the held-out runs, with the table."""
         return mean_error(self.held_out)
 
-    def as_json(self) -> dict[str, Any]:
-        """Return the comparison as in report.json (`document.TableOfFormulas`)."""
-        return document.TableOfFormulas.model_validate(
-            {
-                "table": self.table.label,
-                "complexity": KNOTS,
-                "fitted": self.fitted,
-                "held_out": self.held_out,
-                "formulas": [formula.as_json() for formula in self.formulas],
-            }
-        ).as_json()
+    def as_entry(self) -> document.TableOfFormulas:
+        """Return the comparison as in report.json."""
+        return document.TableOfFormulas(
+            table=self.table.label,
+            complexity=KNOTS,
+            fitted=self.fitted,
+            held_out=self.held_out,
+            formulas=[formula.as_entry() for formula in self.formulas],
+        )
 
 
 def tables_of(machine: Machine) -> tuple[AppliedEffect, ...]:

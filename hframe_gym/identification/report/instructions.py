@@ -14,6 +14,7 @@ from ...operating_system import quoted
 from ...web_page import number
 from ..fit.inseparable_parameters import sum_text
 from ..judge.criteria import SelectionCriteria
+from .document import Report
 from .saved_result import SavedResult, next_command
 
 _NO_DIRECTION = (
@@ -65,27 +66,25 @@ def next_steps(
     """
     report, machine = saved.report, saved.machine
     findings = []
-    if report["warnings"]:
-        text = (
-            f"Read the findings about the recordings ({len(report['warnings'])}) in the section Recordings."
-        )
+    if report.warnings:
+        text = f"Read the findings about the recordings ({len(report.warnings)}) in the section Recordings."
         findings = [_step(text)]
     steps = _recordings(saved, folder, effects)
-    if (report.get("left") or 0.0) > SelectionCriteria().max_noise_ratio_explained and report[
-        "verdict"
-    ] != "unexplained":
+    if (
+        report.left or 0.0
+    ) > SelectionCriteria().max_noise_ratio_explained and report.verdict != "unexplained":
         steps.append(
             _step(
                 f"Look at {runs[0]}, the run with the largest error, where measured and simulated curves part."
             )
         )
-    if report["proposed_formulas"]:
+    if report.proposed_formulas:
         text = "A formula is proposed in place of the table; review it and write it as an effect."
         steps.append(_step(text, f"hframe effects new NAME --from {folder}"))
     measurements = [*_declarations(report), *_measurements(report)]
-    if report["verdict"] == "unexplained":
+    if report.verdict == "unexplained":
         return [*_continued(saved, folder), *steps, *measurements, *findings]
-    control = _control(report["verdict"], machine, folder, bool(effects))
+    control = _control(report.verdict, machine, folder, bool(effects))
     return [*steps, control, *_continued(saved, folder), *measurements, *findings]
 
 
@@ -99,14 +98,14 @@ def _recordings(
 ) -> list[dict[str, str]]:
     """Return what to record: a proposed experiment, or runs that show what the missing force depends on."""
     report = saved.report
-    if report["next_experiment"]:
-        why, file = report["next_experiment"]["why"], report["next_experiment"]["file"]
+    if report.next_experiment:
+        why, file = report.next_experiment.why, report.next_experiment.file
         commands = saved.machine.commands_in_words
         text = f"{why} Apply the {commands} of {folder / file}, record the run, and identify again with it."
         return [_step(text, _again(saved, folder))]
-    if report["verdict"] == "unexplained" and not saved.machine.shows_direction:
+    if report.verdict == "unexplained" and not saved.machine.shows_direction:
         return [_step(_NO_DIRECTION, _again(saved, folder))]
-    if report["verdict"] == "unexplained":
+    if report.verdict == "unexplained":
         text = (
             "Look for a physical cause of the dependence in the section Residual force. Record runs that isolate it: "
             f"{_isolating(report, saved.machine.commands_in_words)}. Then identify again with them."
@@ -121,41 +120,39 @@ def _recordings(
 
 def _continued(saved: SavedResult, folder: Path) -> list[dict[str, str]]:
     """Return the step that repeats a search that ended early."""
-    if not saved.report.get("unfinished"):
+    if not saved.report.unfinished:
         return []
     text = "The search ended early: repeat it without a limit. Ctrl-C ends it with what was found until then."
     return [_step(text, f"{_again(saved, folder)} --budget inf")]
 
 
-def _isolating(report: Mapping[str, Any], commands: str) -> str:
+def _isolating(report: Report, commands: str) -> str:
     """Return the run that isolates the variable on which the missing force depends most."""
-    for dependence in report["residual"]["depends_on"][:1]:
-        quantity, _, name = dependence["variable"].partition(" of ")
+    for dependence in report.residual.depends_on[:1]:
+        quantity, _, name = dependence.variable.partition(" of ")
         if quantity in _MOTIONS:
             return _MOTIONS[quantity].format(name or "the machine", commands=commands)
     return "move slowly and fast, one axis at a time, over the full travel"
 
 
-def _declarations(report: Mapping[str, Any]) -> list[dict[str, str]]:
+def _declarations(report: Report) -> list[dict[str, str]]:
     """Return the step that declares friction which the machine file does not have."""
     values = [
-        f"{friction['parameter']} {number(friction['value'])} {friction['unit']}"
-        for friction in report.get("undeclared_friction", ())
+        f"{friction.parameter} {number(friction.value)} {friction.unit}"
+        for friction in report.undeclared_friction
     ]
     return [_step(f"Declare the friction in declared.json: {', '.join(values)}.")] if values else []
 
 
-def _measurements(report: Mapping[str, Any]) -> list[dict[str, str]]:
+def _measurements(report: Report) -> list[dict[str, str]]:
     """Return the parameters that a user should measure, because the recordings determine only sums with them."""
     steps = []
-    for group in report["not_separable"]:
-        found = [
-            (name, how) for end, how in _MEASUREMENTS for name in group["parameters"] if name.endswith(end)
-        ]
-        name, how = found[0] if found else (group["parameters"][0], "measure it by itself")
-        sums = " and ".join(sum_text(entry["weights"]) for entry in group["determined"]) or "nothing of them"
+    for group in report.not_separable:
+        found = [(name, how) for end, how in _MEASUREMENTS for name in group.parameters if name.endswith(end)]
+        name, how = found[0] if found else (group.parameters[0], "measure it by itself")
+        sums = " and ".join(sum_text(entry.weights) for entry in group.determined) or "nothing of them"
         text = (
-            f"If you need {' and '.join(group['parameters'])} one by one, determine {name} ({how}), write it to "
+            f"If you need {' and '.join(group.parameters)} one by one, determine {name} ({how}), write it to "
             f"declared.json, and identify again: these runs determine only {sums}."
         )
         steps.append(_step(text))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +16,10 @@ from ...machine import Machine
 from ...web_page import number, write_page
 from ..fit.inseparable_parameters import sum_text
 from ..fit.parameter_diagnostics import parameter_doubts
-from .answers import answers, drifts, largest_position_error, noise_ratio, percent, tone_of_remainder
+from .answers import answers, drifts, largest_position_error, percent, tone_of_remainder
 from .correlations import error_correlations
 from .curves import channel_noise, page_curves, worst_first
-from .document import STAGES, compared_machines
+from .document import ChannelErrors, Report, compared_machines
 from .instructions import next_steps
 from .plots import report_panels, save_plots, slow_fractions
 from .saved_result import load_result
@@ -69,7 +69,7 @@ def build_report(folder: Path, final_folder: Path | None = None) -> Path:
         "heading": _heading(report, tone),
         "tone": tone,
         "answers": answers(saved, effects, runs, steps[0]["text"]),
-        "tiles": _tiles(report, channels),
+        "tiles": _tiles(report),
         "channels": [_channel_row(report, c) for c in channels],
         "force": _force_row(report),
         "plain": _plain_sentence(report),
@@ -98,46 +98,46 @@ def build_report(folder: Path, final_folder: Path | None = None) -> Path:
     return folder / "report.html"
 
 
-def _heading(report: Mapping[str, Any], tone: str) -> str:
+def _heading(report: Report, tone: str) -> str:
     """Return the heading of the page: the verdict, how much is left, and whether the search was complete."""
-    left = "" if report["verdict"] == "unexplained" else _LEFT[tone]
-    unfinished = "; the search is not complete" if report.get("unfinished") else ""
-    return f"{_HEADINGS[report['verdict']]}{left}{unfinished}"
+    left = "" if report.verdict == "unexplained" else _LEFT[tone]
+    unfinished = "; the search is not complete" if report.unfinished else ""
+    return f"{_HEADINGS[report.verdict]}{left}{unfinished}"
 
 
-def _tiles(report: Mapping[str, Any], channels: Sequence[str]) -> list[dict[str, str]]:
+def _tiles(report: Report) -> list[dict[str, str]]:
     """Return the key figures of the first screen: two errors, what the effects explain, and the data."""
-    by_force, tiles = drifts(report, channels), []
+    by_force, tiles = drifts(report), []
     for stage, label in _pair(report).items():
-        errors = report[stage]["held_out"]
+        evaluation = report.machines[stage]
         if by_force:
-            value, note = f"{number(100 * errors['force_error'])} %", "of the drives' force"
+            value, note = f"{number(100 * (evaluation.force_error or 0.0))} %", "of the drives' force"
         else:
-            ratio = number(noise_ratio(report, stage, channels), "∞")
-            value, note = f"{ratio} × noise", largest_position_error(errors)
+            ratio = number(evaluation.noise_ratio, "∞")
+            value, note = f"{ratio} × noise", largest_position_error(evaluation)
         tiles.append({"name": f"Error {label}", "value": value, "note": note})
-    if report["effects"] and report.get("explained") is not None:
+    if report.effects and report.explained is not None:
         note = "of the squared error beyond the noise"
-        tiles.append({"name": "Explained", "value": f"{percent(report['explained'])} %", "note": note})
-    fitted, held_out = (len(report["runs"][kind]) for kind in ("fitted", "held_out"))
+        tiles.append({"name": "Explained", "value": f"{percent(report.explained)} %", "note": note})
+    fitted, held_out = (len(runs) for runs in (report.runs.fitted, report.runs.held_out))
     note = "runs fitted + held out for the errors"
     return [*tiles, {"name": "Recordings", "value": f"{fitted} + {held_out}", "note": note}]
 
 
-def _pair(report: Mapping[str, Any]) -> dict[str, str]:
+def _pair(report: Report) -> dict[str, str]:
     """Return the last two machines, with their labels: what was gained by the last step."""
     return dict([item for item in compared_machines(report).items() if item[0] != "plain"][-2:])
 
 
-def _channel_row(report: Mapping[str, Any], channel: str) -> dict[str, Any]:
+def _channel_row(report: Report, channel: str) -> dict[str, Any]:
     """Return the errors of one channel for each machine, in one readable unit and in multiples of the noise."""
     row: dict[str, Any] = {"name": channel}
-    errors = {stage: report[stage]["held_out"][channel] for stage in _machines(report)}
-    factor, unit = readable_unit(channel, errors["before"]["rmse"] or 0.0)
-    absent = "diverges" if any(error["rmse"] is not None for error in errors.values()) else "not measured"
-    for stage, error in errors.items():
-        rmse, ratio = error["rmse"], error["noise_ratio"]
-        row[stage] = {
+    errors = {key: evaluation.channels[channel] for key, evaluation in report.machines.items()}
+    factor, unit = readable_unit(channel, errors["before"].rmse or 0.0)
+    absent = "diverges" if any(error.rmse is not None for error in errors.values()) else "not measured"
+    for key, error in errors.items():
+        rmse, ratio = error.rmse, error.noise_ratio
+        row[key] = {
             "size": absent if rmse is None else f"{number(factor * rmse)} {unit}",
             "ratio": "" if ratio is None else f"{number(ratio)} × noise",
             "motion": _percent_of_motion(error),
@@ -145,40 +145,32 @@ def _channel_row(report: Mapping[str, Any], channel: str) -> dict[str, Any]:
     return row
 
 
-def _percent_of_motion(error: Mapping[str, Any]) -> str:
+def _percent_of_motion(error: ChannelErrors) -> str:
     """Return an error in percent of the motion, or "" if the channel does not move."""
-    percent = error.get("percent_of_motion")
-    return "" if percent is None else f"{number(percent)} % of motion"
+    if error.percent_of_motion is None:
+        return ""
+    return f"{number(error.percent_of_motion)} % of motion"
 
 
-def _force_row(report: Mapping[str, Any]) -> dict[str, str] | None:
+def _force_row(report: Report) -> dict[str, str] | None:
     """Return the relative force error of each machine, None where there is none."""
-    if "force_error" not in report["after"]["held_out"]:
+    if report.after.force_error is None:
         return None
-    errors = {s: report[s]["held_out"].get("force_error") for s in _machines(report)}
+    errors = {key: evaluation.force_error for key, evaluation in report.machines.items()}
     return {s: "" if error is None else f"{100 * error:.2f} %" for s, error in errors.items()}
 
 
-def _machines(report: Mapping[str, Any]) -> list[str]:
-    """Return the keys of the machines in a report, with the plain fit if there is one."""
-    return [*STAGES, *(["plain"] if report.get("plain") else [])]
-
-
-def _plain_sentence(report: Mapping[str, Any]) -> str:
+def _plain_sentence(report: Report) -> str:
     """Describe the plain fit, which stands beside the other machines."""
-    if not (plain := report.get("plain")):
+    if not (plain := report.plain):
         return ""
-    terms = ", ".join(term.replace("_", " ").replace("@", " at ") for term in plain["terms"])
+    terms = ", ".join(term.replace("_", " ").replace("@", " at ") for term in plain.terms)
     beside = f", with {terms}" if terms else ""
-    delivered = (
-        " It is the machine that is delivered, because it predicts best." if plain["delivered"] else ""
-    )
+    delivered = " It is the machine that is delivered, because it predicts best." if plain.delivered else ""
     return f"The plain fit has inertia and friction from the recordings alone{beside}, and no effects.{delivered}"
 
 
-def _run_row(
-    report: Mapping[str, Any], curves: Mapping[str, Array], channels: list[str], run: str
-) -> dict[str, Any]:
+def _run_row(report: Report, curves: Mapping[str, Array], channels: list[str], run: str) -> dict[str, Any]:
     """Return the errors of one held-out run before and after, by channel in units of the noise."""
 
     def ratio(stage: str, j: int) -> str:
@@ -195,38 +187,34 @@ def _run_row(
     }
 
 
-def _effect_rows(report: Mapping[str, Any], machine: Machine) -> list[dict[str, Any]]:
+def _effect_rows(report: Report, machine: Machine) -> list[dict[str, Any]]:
     """Return the effects, largest held-out gain first, with formula and parameters; a table is drawn instead."""
     definitions = {e.label: e.definition for e in machine.effects}
     rows = []
-    for e in sorted(report["effects"], key=lambda e: -e["held_out_gain"]):
-        definition = definitions[f"{e['name']}@{e['site']}"]
+    for e in sorted(report.effects, key=lambda e: -e.held_out_gain):
+        definition = definitions[f"{e.name}@{e.site}"]
         table = definition.family == TABLE_FAMILY
-        size = (
-            ""
-            if e["size"] is None
-            else f"Its force is {number(100 * e['size'])} % of the drives' force (rms)."
-        )
+        size = "" if e.size is None else f"Its force is {number(100 * e.size)} % of the drives' force (rms)."
         parameters = [
             {
                 "name": key,
-                "value": f"{p['value']:.5g}",
-                "std": "" if p["std"] is None else f"± {p['std']:.2g}",
-                "unit": "" if p["unit"] == "1" else p["unit"],
+                "value": f"{p.value:.5g}",
+                "std": "" if p.std is None else f"± {p.std:.2g}",
+                "unit": "" if p.unit == "1" else p.unit,
             }
-            for key, p in e["parameters"].items()
+            for key, p in e.parameters.items()
         ]
         rows.append(
             {
-                "name": e["name"].replace("_", " "),
-                "site": e["site"],
+                "name": e.name.replace("_", " "),
+                "site": e.site,
                 "formula": definition.formula,
                 "table": table,
                 "parameters": [] if table else parameters,
                 "size": size,
-                "gain": _gain_sentence(e["held_out_gain"]),
-                "rivals": [r for r in e["rivals"] if r not in definition.equivalent],
-                "equivalent": [r for r in e["rivals"] if r in definition.equivalent],
+                "gain": _gain_sentence(e.held_out_gain),
+                "rivals": [r for r in e.rivals if r not in definition.equivalent],
+                "equivalent": [r for r in e.rivals if r in definition.equivalent],
             }
         )
     return rows
@@ -273,14 +261,14 @@ def _correlation_rows(machine: Machine) -> list[dict[str, Any]]:
     ]
 
 
-def _determined_sums(report: Mapping[str, Any], machine: Machine) -> list[dict[str, str]]:
+def _determined_sums(report: Report, machine: Machine) -> list[dict[str, str]]:
     """Return the parameters that the data do not separate, with what they determine of each set."""
     rows = []
-    for group in report["not_separable"]:
+    for group in report.not_separable:
         sums = [
-            f"{sum_text(entry['weights'])} = {entry['value']:.5g} ± {entry['std']:.2g} "
-            f"{machine.unit(next(iter(entry['weights'])))}"
-            for entry in group["determined"]
+            f"{sum_text(entry.weights)} = {entry.value:.5g} ± {entry.std:.2g} "
+            f"{machine.unit(next(iter(entry.weights)))}"
+            for entry in group.determined
         ]
-        rows.append({"names": ", ".join(group["parameters"]), "sums": "; ".join(sums) or "no combination"})
+        rows.append({"names": ", ".join(group.parameters), "sums": "; ".join(sums) or "no combination"})
     return rows

@@ -14,7 +14,7 @@ from ...files import remove_file
 from ...machine import AppliedEffect, Machine
 from ...web_page import Panel, color, legend_above, number, save_panels
 from .correlations import error_correlations
-from .document import compared_machines
+from .document import Report, compared_machines
 from .effect_curves import effect_curve
 from .error_dependence import error_panels
 from .units import readable_unit
@@ -38,7 +38,7 @@ _QUANTITIES = {  # of a variable: quantity of the coordinate, and what follows i
 
 
 def report_panels(
-    report: Mapping[str, Any],
+    report: Report,
     curves: Mapping[str, Array],
     machine: Machine,
     declared: Machine,
@@ -66,12 +66,12 @@ def report_panels(
     present = {effect.label for effect in declared.effects}
     added = [effect for effect in machine.effects if effect.label not in present]
     effect_curves = (effect_curve(effect, machine, curves) for effect in added)
-    worst = (list(runs) or report["runs"]["held_out"])[0]
+    worst = (list(runs) or report.runs.held_out)[0]
     return {
         "error_by_channel": [_error_by_channel(report, channels)],
         "error_over_time": [
             _error_over_time(curves, run, channel, j, _compared_stages(report))
-            for run in list(runs or report["runs"]["held_out"])[:_MAX_RUNS]
+            for run in list(runs or report.runs.held_out)[:_MAX_RUNS]
             for j, channel in enumerate(channels)
             if np.isfinite(curves[f"{run}/measured"][:, j]).any()
         ],
@@ -118,11 +118,12 @@ def save_plots(panels: Panels, folder: Path) -> list[Path]:
     return written
 
 
-def _error_by_channel(report: Mapping[str, Any], channels: list[str]) -> Panel:
+def _error_by_channel(report: Report, channels: list[str]) -> Panel:
     """Draw the error of each channel in multiples of the noise, for each machine."""
     stages = {key: label for key, label in compared_machines(report).items() if key != "plain"}
     ratios = {
-        stage: [report[stage]["held_out"][c]["noise_ratio"] or np.nan for c in channels] for stage in stages
+        stage: [report.machines[stage].channels[c].noise_ratio or np.nan for c in channels]
+        for stage in stages
     }
 
     def draw(axes: Any) -> None:
@@ -156,7 +157,7 @@ def _error_by_channel(report: Mapping[str, Any], channels: list[str]) -> Panel:
     )
 
 
-def _compared_stages(report: Mapping[str, Any]) -> dict[str, str]:
+def _compared_stages(report: Report) -> dict[str, str]:
     """Return the machines that the curves compare, with their labels: the refitted and the delivered one."""
     labels = compared_machines(report)
     return {key: labels[key] for key in ("before", "after") if key in labels}
@@ -195,11 +196,11 @@ def _envelope(time_s: Array, values: Array) -> tuple[Array, Array]:
     return time_s[rows], values[rows]
 
 
-def _residual_force(report: Mapping[str, Any], curves: Mapping[str, Array], machine: Machine) -> Panel:
+def _residual_force(report: Report, curves: Mapping[str, Array], machine: Machine) -> Panel:
     """Draw the residual force before and after against the variable that it depends on most."""
-    strongest = report["residual"]["depends_on"][0]
+    strongest = report.residual.depends_on[0]
     variable = curves["force/variable"]
-    coordinate, label = strongest["coordinate"], _with_unit(strongest["variable"], machine)
+    coordinate, label = strongest.coordinate, _with_unit(strongest.variable, machine)
     unit = machine.coordinate(coordinate).unit("force")
     stages = _compared_stages(report)
     forces = {stage: curves[f"force/{stage}"] for stage in stages}
@@ -222,7 +223,7 @@ def _residual_force(report: Mapping[str, Any], curves: Mapping[str, Array], mach
     rms = {stage: float(np.sqrt(np.mean(force**2))) for stage, force in forces.items()}
     values = ", ".join(f"{number(value)} {unit} {stages[stage]}" for stage, value in rms.items())
     description = f"Residual force on {coordinate} against {label}. Root mean square: {values}."
-    title = f"Force that the model lacks on {coordinate}, against {strongest['variable']}"
+    title = f"Force that the model lacks on {coordinate}, against {strongest.variable}"
     return Panel(title, description, draw, 2.8)
 
 

@@ -9,35 +9,26 @@ import hashlib
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 from ...version import __version__
+from .document import File, Made
 
-_BLOCK = 1 << 20  # bytes read at once
 
-
-def provenance(files: Sequence[Path]) -> dict[str, Any]:
+def provenance(files: Sequence[Path]) -> Made:
     """Describe where a result that is written now comes from.
 
     Args:
-        files: Files of the recordings; empty if the recordings come from no files.
-
-    Returns:
-        "software": package and version; "time": date and time of day in UTC, ISO 8601; "files": "name", "bytes" and
-        "sha256" of each file that can be read.
+        files: Files of the recordings, those that can be read; empty if the recordings come from no files.
     """
-    return {
-        "software": f"hframe_gym {__version__}",
-        "time": datetime.now(UTC).isoformat(timespec="seconds"),
-        "files": [_description(path) for path in files if path.is_file()],
-    }
+    return Made(
+        software=f"hframe_gym {__version__}",
+        time=datetime.now(UTC).isoformat(timespec="seconds"),
+        files=[_description(path) for path in files if path.is_file()],
+    )
 
 
-def _description(path: Path) -> dict[str, Any]:
+def _description(path: Path) -> File:
     """Return the name, size and hash of a file."""
-    digest, size = hashlib.sha256(), 0
     with path.open("rb") as file:
-        while block := file.read(_BLOCK):
-            digest.update(block)
-            size += len(block)
-    return {"name": path.name, "bytes": size, "sha256": digest.hexdigest()}
+        digest = hashlib.file_digest(file, "sha256")
+    return File(name=path.name, bytes=path.stat().st_size, sha256=digest.hexdigest())

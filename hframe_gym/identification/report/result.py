@@ -179,7 +179,11 @@ class IdentificationResult:
         return (*unfinished, *self.limit_warnings, *self.divergence_warnings, *self.run_warnings)
 
     def as_json(self) -> dict[str, Any]:
-        """Return the content of report.json (`document.Report`), to which `write_result` adds warnings and formulas."""
+        """Return the content of report.json as plain data; see `as_report`."""
+        return self.as_report().as_json()
+
+    def as_report(self) -> document.Report:
+        """Return the content of report.json without what `write_result` adds: warnings, formulas and origin."""
         with_force = all(
             e.held_out.force is not None for e in self.evaluations.values()
         )  # else not comparable
@@ -244,7 +248,7 @@ class IdentificationResult:
             else None,
             seconds=round(self.seconds, 2),
             criteria=self.criteria.as_json(),
-        ).as_json()
+        )
 
     def _not_separable(self) -> list[document.NotSeparable]:
         """Return the parameters that the data do not separate as in report.json."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
@@ -35,7 +34,7 @@ class SavedResult:
         curves: Curves of the plots by name, such as "RUN/measured", SI; `plot_data` lists them.
     """
 
-    report: dict[str, Any]
+    report: Report
     machine: Machine
     declared: Machine
     curves: dict[str, Array]
@@ -54,19 +53,7 @@ def load_result(folder: Path) -> SavedResult:
     Raises:
         InputError: If a file is missing, damaged or inconsistent with another file; the message names the file.
     """
-    complete_commit(folder)
-    if not newest(folder / "report.json").is_file():
-        raise InputError(f"{folder}: no report.json here; run `hframe identify RUNS --out {folder}` first")
-    try:
-        text = read_document(newest(folder / "report.json"))
-        report = Report.model_validate_json(text).model_dump(by_alias=True)
-    except ValidationError as error:
-        first = error.errors()[0]
-        # Where a field may be of two kinds, pydantic names the one that it tried.
-        field = (
-            ".".join(str(part) for part in first["loc"] if part != ChannelErrors.__name__) or "is not valid"
-        )
-        raise _damaged(folder / "report.json", f"{field}: {first['msg']}") from None
+    report = read_report(folder)
     for name in ("machine.json", "declared.json"):
         if not newest(folder / name).is_file():
             raise _damaged(folder / name, "is missing")
@@ -80,6 +67,29 @@ def load_result(folder: Path) -> SavedResult:
     _check_report(saved, folder / "report.json")
     _check_curves(saved, folder / "evidence.npz")
     return saved
+
+
+def read_report(folder: Path) -> Report:
+    """Read report.json from the folder of an identification result.
+
+    Args:
+        folder: Folder that `write_result` wrote.
+
+    Raises:
+        InputError: If the file is missing or damaged.
+    """
+    complete_commit(folder)
+    if not newest(folder / "report.json").is_file():
+        raise InputError(f"{folder}: no report.json here; run `hframe identify RUNS --out {folder}` first")
+    try:
+        return Report.model_validate_json(read_document(newest(folder / "report.json")))
+    except ValidationError as error:
+        first = error.errors()[0]
+        # Where a field may be of two kinds, pydantic names the one that it tried.
+        field = (
+            ".".join(str(part) for part in first["loc"] if part != ChannelErrors.__name__) or "is not valid"
+        )
+        raise _damaged(folder / "report.json", f"{field}: {first['msg']}") from None
 
 
 def formulas_of_folder(folder: Path, name: str, table: str = "") -> tuple[ProposedFormula, ...]:
@@ -113,11 +123,12 @@ def formulas_of_folder(folder: Path, name: str, table: str = "") -> tuple[Propos
         raise InputError(f"--table {label}: no such table; the identified machine has {', '.join(tables)}")
     if name in EFFECTS:
         raise InputError(f"{name}: an effect of this name exists; choose another name")
-    compared: dict[str, Any] = next((t for t in saved.report["proposed_formulas"] if t["table"] == label), {})
+    compared = next((t for t in saved.report.proposed_formulas if t.table == label), None)
     proposed = [
-        ProposedFormula.from_json(f, saved.machine, tables[label]) for f in compared.get("formulas", ())
+        ProposedFormula.from_entry(formula, saved.machine, tables[label])
+        for formula in (compared.formulas if compared else ())
     ]
-    table_error = mean_error(compared.get("held_out", {}))
+    table_error = mean_error(compared.held_out if compared else {})
     return tuple(
         p.with_name(name, table_error) for p in proposed or propose_formulas(saved.machine, tables[label])
     )
@@ -148,28 +159,27 @@ def _check_report(saved: SavedResult, path: Path) -> None:
     machine, channels = saved.machine, saved.machine.output_channels
     if saved.declared.output_channels != channels:
         raise _damaged(path.with_name("declared.json"), "has other sensors than machine.json")
-    for stage in (*STAGES, *(["plain"] if saved.report["plain"] else [])):
-        errors = saved.report[stage]["held_out"]
+    for stage, evaluation in saved.report.machines.items():
         for channel in channels:
-            if not isinstance(errors.get(channel), dict):
+            if channel not in evaluation.channels:
                 raise _damaged(path, f"{stage}.held_out has no errors of {channel}")
-        compared = saved.report["after"]["held_out"] if stage in STAGES else errors
-        if ("force_error" in errors) != ("force_error" in compared):
+        has_force = "force_error" in evaluation.held_out
+        if stage in STAGES and has_force != ("force_error" in saved.report.after.held_out):
             raise _damaged(path, "force_error is given for some of declared, before and after only")
-        if not isinstance(errors.get("force_error", 0.0), float):
+        if has_force and evaluation.force_error is None:
             raise _damaged(path, f"{stage}.held_out.force_error is not a number")
     labels = {e.label for e in machine.effects}
-    for effect in saved.report["effects"]:
-        if f"{effect['name']}@{effect['site']}" not in labels:
-            raise _damaged(path, f"effect {effect['name']} at {effect['site']} is not in machine.json")
-    for table in saved.report["proposed_formulas"]:
-        if table["table"] not in labels:
-            raise _damaged(path, f"proposed_formulas: {table['table']} is not in machine.json")
+    for effect in saved.report.effects:
+        if f"{effect.name}@{effect.site}" not in labels:
+            raise _damaged(path, f"effect {effect.name} at {effect.site} is not in machine.json")
+    for table in saved.report.proposed_formulas:
+        if table.table not in labels:
+            raise _damaged(path, f"proposed_formulas: {table.table} is not in machine.json")
     drives = (drive.name for drive in machine.drives)
     known = {*machine.coordinate_names, *drives, *machine.output_channels, "drives", "belts"}
-    for dependence in saved.report["residual"]["depends_on"]:
-        coordinate = dependence["coordinate"]
-        names = {coordinate, dependence["variable"].partition(" of ")[2] or coordinate}
+    for dependence in saved.report.residual.depends_on:
+        coordinate = dependence.coordinate
+        names = {coordinate, dependence.variable.partition(" of ")[2] or coordinate}
         if not names <= known or coordinate not in machine.coordinate_names:
             raise _damaged(
                 path, f"residual.depends_on: machine.json has no coordinate {' or '.join(sorted(names))}"
@@ -180,14 +190,14 @@ def _check_curves(saved: SavedResult, path: Path) -> None:
     """Raise InputError if the curves do not fit report.json and the machine."""
     curves, channels = saved.curves, len(saved.machine.output_channels)
     needed: dict[str, int] = {}  # dimensions by name
-    for run in saved.report["runs"]["held_out"]:
+    for run in saved.report.runs.held_out:
         needed |= {f"{run}/time_s": 1}
         needed |= {f"{run}/{name}": 2 for name in ("measured", *STAGES)}
         if f"{run}/plain" in curves:  # results of older versions have none
             needed |= {f"{run}/plain": 2}
     if "force/variable" in curves:
         needed |= {"force/variable": 1, "force/before": 1, "force/after": 1}
-        if not saved.report["residual"]["depends_on"]:
+        if not saved.report.residual.depends_on:
             raise _damaged(path, "has a residual force, for which report.json has no variable")
     needed |= {name: 1 for name in curves if name.startswith("coverage/")}
     for name, dimensions in needed.items():
@@ -204,7 +214,7 @@ def _check_curves(saved: SavedResult, path: Path) -> None:
         coordinate = name.partition(" of ")[2]
         if name.startswith("coverage/") and coordinate and coordinate not in saved.machine.coordinate_names:
             raise _damaged(path, f"array {name}: machine.json has no coordinate {coordinate}")
-    for run in saved.report["runs"]["held_out"]:
+    for run in saved.report.runs.held_out:
         inputs = curves.get(f"{run}/inputs")  # results of older versions have none
         shape = (len(curves[f"{run}/time_s"]), len(saved.machine.input_channels))
         if inputs is not None and inputs.shape != shape:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,26 +13,23 @@ from numpy.typing import NDArray
 from ...arrays import Array
 from ...files import atomic_file, output_batch, remove_file, write_text
 from ...recordings import save_machine
+from .document import Report
 from .experiment_design import FILE
 from .plot_data import plot_data
 from .provenance import provenance
 from .result import IdentificationResult
 
-
-class ReportEntry(Protocol):
-    """Part of report.json, such as the formulas that may replace a table (`formulas.TableComparison`)."""
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the entry of report.json."""
+if TYPE_CHECKING:
+    from .formulas import TableComparison
 
 
 def write_result(
     result: IdentificationResult,
     folder: Path,
     warnings: Sequence[str] = (),
-    formulas: Sequence[ReportEntry] = (),
+    formulas: Sequence[TableComparison] = (),
     files: Sequence[Path] = (),
-) -> None:
+) -> Report:
     """Write the result of an identification to a folder; `build_report` then adds the plots and report.html.
 
     The files are report.json; declared.json, before.json and machine.json (the machine as declared, refitted, and with
@@ -47,14 +44,20 @@ def write_result(
             errors, for `proposed_formulas` in report.json.
         files: Files of the recordings, for `made` in report.json, which tells where the result comes from.
 
+    Returns:
+        Content of report.json.
+
     Raises:
         InputError: If another process writes to the folder.
         OSError: If a file cannot be written.
     """
     arrays: dict[str, Any] = {name: _stored(name, values) for name, values in plot_data(result).items()}
-    warnings = [*result.notes, *warnings]
-    report = result.as_json() | {"warnings": warnings, "proposed_formulas": [c.as_json() for c in formulas]}
-    report["made"] = provenance(files)
+    additions = {
+        "warnings": [*result.notes, *warnings],
+        "proposed_formulas": [comparison.as_entry() for comparison in formulas],
+        "made": provenance(files),
+    }
+    report = result.as_report().model_copy(update=additions)
     with output_batch(folder):
         save_machine(result.declared.machine, folder / "declared.json")
         save_machine(result.before.machine, folder / "before.json")
@@ -69,7 +72,8 @@ def write_result(
             result.experiment.write(folder / FILE, result.declared.machine)
         else:
             remove_file(folder / FILE)
-        write_text(folder / "report.json", json.dumps(report, indent=1, allow_nan=False) + "\n")
+        write_text(folder / "report.json", json.dumps(report.as_json(), indent=1, allow_nan=False) + "\n")
+    return report
 
 
 def _stored(name: str, values: Array) -> NDArray[np.floating[Any]]:

@@ -271,4 +271,4 @@ def test_the_error_that_unknown_voltages_cause_excludes_no_effect() -> None:
     result = identify([every(controlled(seed), UPDATES) for seed in range(4)], AXIS)
     assert result.verdict == "unexplained"
     assert not result.effects
-    assert "the unknown voltages between the rows may cause" in reason_of_remainder(result.as_json())
+    assert "the unknown voltages between the rows may cause" in reason_of_remainder(result.as_report())

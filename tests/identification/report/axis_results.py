@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from hframe_gym.effects import EFFECTS, get_effect
 from hframe_gym.effects.smooth_table import KNOTS
 from hframe_gym.identification import Dataset, IdentificationResult, write_result
 from hframe_gym.identification.fit.missing_force import Dependence
+from hframe_gym.identification.report.document import Report
 from hframe_gym.identification.report.experiment_design import ExperimentDesign
 from hframe_gym.identification.report.page import build_report
 from hframe_gym.identification.report.result import Verdict
@@ -46,6 +48,27 @@ def result_of(
         dependence=(Dependence("velocity of x", "x", 0.8),),
         experiment=plan,
     )
+
+
+def effect_entry(name: str, site: str, **fields: Any) -> dict[str, Any]:
+    """Return an effect as in report.json, with some of its fields."""
+    return {"name": name, "site": site, "parameters": {}, "held_out_gain": 0.9, "rivals": []} | fields
+
+
+def report_with(errors: dict[str, Any] | None = None, **fields: Any) -> Report:
+    """Return a report with some fields, all of whose machines have the same errors by channel unless stated."""
+    of_machine = {"held_out": errors or {}}
+    content = {
+        "schema": 1,
+        "verdict": "unexplained",
+        "runs": {"fitted": ["run_1"], "held_out": ["run_2"]},
+        **dict.fromkeys(("declared", "before", "after"), of_machine),
+        "effects": [],
+        "residual": {"depends_on": [], "white": False},
+        "next_experiment": None,
+        "seconds": 1.0,
+    }
+    return Report.model_validate(content | fields)
 
 
 def page_of(result: IdentificationResult, folder: Path, warnings: tuple[str, ...] = ()) -> str:

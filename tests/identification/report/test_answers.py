@@ -16,7 +16,8 @@ from hframe_gym.identification.report.answers import (
     tone_of_remainder,
     verdict_sentence,
 )
-from tests.identification.report.axis_results import result_of
+from hframe_gym.identification.report.document import Evaluation, Formula, TableOfFormulas
+from tests.identification.report.axis_results import effect_entry, report_with, result_of
 from tests.identification.single_axis import AXIS, axis_result, axis_runs
 
 
@@ -25,8 +26,7 @@ def test_a_multiple_of_the_noise_over_all_channels_is_not_stated_as_that_of_one(
 
     def sentence(channels: tuple[str, ...]) -> str:
         held_out = {c: errors[c] for c in channels}
-        stages = {stage: {"held_out": held_out} for stage in ("declared", "before", "after")}
-        return verdict_sentence({"verdict": "no_effect", "effects": [], "left": 1.0, **stages}, channels)
+        return verdict_sentence(report_with(held_out, verdict="no_effect", left=1.0))
 
     assert "20 µm rms at x_m; over all channels 1 times the sensors' noise; 0.5 %" in sentence(("x_m", "y_m"))
     assert "20 µm rms at x_m, 1 times the sensors' noise; 0.5 %" in sentence(("x_m",))
@@ -36,13 +36,7 @@ def test_the_error_of_the_sentence_is_the_root_mean_square_over_the_channels() -
     errors = {
         c: {"rmse": 1e-3, "noise_ratio": ratio} for c, ratio in (("x_m", 7.0), ("y_m", 1.0), ("z_m", None))
     }
-    report = {
-        "verdict": "no_effect",
-        "effects": [],
-        "left": 5.0,
-        **{stage: {"held_out": errors} for stage in ("declared", "before", "after")},
-    }
-    sentence = verdict_sentence(report, list(errors))
+    sentence = verdict_sentence(report_with(errors, verdict="no_effect", left=5.0))
     assert "error of the declared model on the held-out runs is 5 times the sensors' noise" in sentence
     assert "An error of 5 times the sensors' noise (1 mm rms at x_m) is left" in sentence
 
@@ -59,7 +53,7 @@ def test_errors_in_different_units_are_not_compared(
     errors: dict[str, tuple[float, float]], largest: str
 ) -> None:
     held_out = {c: {"rmse": rmse, "noise_ratio": ratio} for c, (rmse, ratio) in errors.items()}
-    assert largest_position_error(held_out) == largest
+    assert largest_position_error(Evaluation.model_validate({"held_out": held_out})) == largest
 
 
 @pytest.mark.parametrize(
@@ -68,7 +62,7 @@ def test_errors_in_different_units_are_not_compared(
 def test_effects_that_remove_little_of_a_slow_error_are_said_to(
     explained: float, left: float, slower: bool
 ) -> None:
-    sentences = removed_by_effects({"explained": explained, "left": left})
+    sentences = removed_by_effects(report_with(explained=explained, left=left))
     assert f"remove {100 * max(explained, 0.0):.3g} % of the squared error" in sentences[0]
     assert any("A slower cause that no effect explains" in text for text in sentences) == slower
 
@@ -91,33 +85,30 @@ def test_the_tone_of_the_page_is_that_of_what_is_left(
     verdict: str, left: float | None, percent: float | None, tone: str
 ) -> None:
     errors = {"x_m": {"rmse": 1e-3, "noise_ratio": left, "percent_of_motion": percent}, "force_error": 0.1}
-    assert tone_of_remainder({"verdict": verdict, "left": left, "after": {"held_out": errors}}) == tone
+    assert tone_of_remainder(report_with(errors, verdict=verdict, left=left)) == tone
 
 
 def test_the_verdict_begins_with_friction_that_the_file_does_not_declare(data: Dataset) -> None:
     smooth = AXIS.replace({"x.coulomb": 0.0})
     result = result_of(data, "unexplained", AXIS)
     result = dataclasses.replace(result, declared=dataclasses.replace(result.declared, machine=smooth))
-    report = result.as_json()
-    (friction,) = report["undeclared_friction"]
-    assert (friction["parameter"], friction["value"]) == ("x.coulomb", AXIS.parameters["x.coulomb"])
-    start = f"The machine has friction that its file does not declare: x.coulomb is {friction['value']:g}"
-    assert verdict_sentence(report, AXIS.output_channels).startswith(start)
-    assert "friction" not in verdict_sentence(
-        result_of(data, "unexplained", AXIS).as_json(), AXIS.output_channels
-    )
+    report = result.as_report()
+    (friction,) = report.undeclared_friction
+    assert (friction.parameter, friction.value) == ("x.coulomb", AXIS.parameters["x.coulomb"])
+    start = f"The machine has friction that its file does not declare: x.coulomb is {friction.value:g}"
+    assert verdict_sentence(report).startswith(start)
+    assert "friction" not in verdict_sentence(result_of(data, "unexplained", AXIS).as_report())
 
 
 def test_several_effects_are_separated_by_commas() -> None:
     errors = {"x_m": {"rmse": 1e-3, "noise_ratio": 50.0}}
-    report = {
-        "verdict": "effect_found",
-        "effects": [{"name": "cogging", "site": "motor1"}, {"name": "belt_play", "site": "belts"}],
-        "declared": {"held_out": errors},
-        "before": {"held_out": errors},
-        "after": {"held_out": {"x_m": {"rmse": 2e-5, "noise_ratio": 1.0}}},
-    }
-    assert verdict_sentence(report, ["x_m"]) == (
+    report = report_with(
+        errors,
+        verdict="effect_found",
+        effects=[effect_entry("cogging", "motor1"), effect_entry("belt_play", "belts")],
+        after={"held_out": {"x_m": {"rmse": 2e-5, "noise_ratio": 1.0}}},
+    )
+    assert verdict_sentence(report) == (
         "The machine has 2 effects that its model lacks: cogging at motor1, belt play at belts. With them, the error "
         "on the held-out runs falls from 50 to 1 times the sensors' noise."
     )
@@ -135,16 +126,31 @@ def test_several_effects_are_separated_by_commas() -> None:
     ],
 )
 def test_what_a_table_leaves_is_compared_with_the_formula(held_out: dict[str, float], last: str) -> None:
-    errors = {"held_out": {"x_m": {"rmse": 2e-5, "noise_ratio": 5.0}}}
-    formula = {"terms": ["magnetic catch"], "held_out": held_out, "recommended": True}
-    better = formula | {"terms": ["periodic"], "held_out": {"x_m": 0.9}, "recommended": False}
-    report = {
-        "verdict": "effect_found",
-        "effects": [{"name": "smooth_force[position of x]", "site": "x"}],
-        "left": 5.0,
-        "proposed_formulas": [{"formulas": [formula, better]}],
-    }
-    sentence = verdict_sentence(report | dict.fromkeys(("declared", "before", "after"), errors), ["x_m"])
+    formula = Formula(
+        terms=["magnetic catch"],
+        formula="",
+        parameters={},
+        complexity=3,
+        curve_error=1.0,
+        fitted=3.0,
+        held_out=held_out,
+        recommended=True,
+    )
+    better = formula.model_copy(
+        update={"terms": ["periodic"], "held_out": {"x_m": 0.9}, "recommended": False}
+    )
+    name = "smooth_force[position of x]"
+    table = TableOfFormulas(
+        table=f"{name}@x", complexity=24, fitted=5.0, held_out={}, formulas=[formula, better]
+    )
+    report = report_with(
+        {"x_m": {"rmse": 2e-5, "noise_ratio": 5.0}},
+        verdict="effect_found",
+        effects=[effect_entry(name, "x")],
+        left=5.0,
+        proposed_formulas=[table],
+    )
+    sentence = verdict_sentence(report)
     assert sentence.endswith(f" An error of 5 times the sensors' noise (20 µm rms at x_m) is left{last}")
 
 
@@ -153,8 +159,8 @@ def test_a_refit_that_worsens_the_simulation_is_compared_with_the_declared_machi
     stages = {
         stage: {"held_out": {"x_m": {"rmse": 1e-3, "noise_ratio": ratio}}} for stage, ratio in ratios.items()
     }
-    report = {"verdict": "effect_found", "effects": [{"name": "cogging", "site": "motor"}], **stages}
-    assert "falls from 40 (with the declared parameters: 20) to 10 times" in verdict_sentence(report, ["x_m"])
+    report = report_with(verdict="effect_found", effects=[effect_entry("cogging", "motor")], **stages)
+    assert "falls from 40 (with the declared parameters: 20) to 10 times" in verdict_sentence(report)
 
 
 @pytest.mark.parametrize(
@@ -163,26 +169,30 @@ def test_a_refit_that_worsens_the_simulation_is_compared_with_the_declared_machi
 def test_the_force_is_stated_only_if_the_simulation_drifts(percent: float, unit: str) -> None:
     """Real recordings have errors far beyond the noise of an encoder, but small ones of the motion."""
     channel = {"x_m": {"rmse": 1e-3, "noise_ratio": 600.0, "percent_of_motion": percent}}
-    errors = {"held_out": {**channel, "force_error": 2.0}}
-    report = {"verdict": "unexplained", "effects": [], "left": 600.0, "residual": {"depends_on": []}}
-    report |= dict.fromkeys(("declared", "before", "after"), errors) | {"plain": {"delivered": True}}
-    sentence = verdict_sentence(report, ["x_m"])
+    errors = {**channel, "force_error": 2.0}
+    sentence = verdict_sentence(
+        report_with(errors, left=600.0, plain={"held_out": errors, "delivered": True})
+    )
     assert f"{unit}, and no known effect explains it. A plain fit of inertia and friction leaves" in sentence
 
 
 @pytest.mark.parametrize("verdict", ["effect_found", "no_effect", "unexplained"])
 def test_what_is_left_is_stated_also_if_errors_are_those_of_the_force(verdict: str) -> None:
-    errors = {"held_out": {"x_m": {"rmse": 1.0, "noise_ratio": 900.0}, "force_error": 0.06}}
-    report = {"verdict": verdict, "effects": [{"name": "cogging", "site": "motor"}], "left": 900.0}
+    errors = {"x_m": {"rmse": 1.0, "noise_ratio": 900.0}, "force_error": 0.06}
     # in the order of the explained force
     shares = (
         ("velocity of y", "y", 0.26),
         ("velocity of x", "x", 0.31),
     )
-    report["residual"] = {
-        "depends_on": [dict(zip(("variable", "coordinate", "share"), s, strict=True)) for s in shares]
-    }
-    sentence = verdict_sentence(report | dict.fromkeys(("declared", "before", "after"), errors), ["x_m"])
+    depends_on = [dict(zip(("variable", "coordinate", "share"), s, strict=True)) for s in shares]
+    report = report_with(
+        errors,
+        verdict=verdict,
+        effects=[effect_entry("cogging", "motor")],
+        left=900.0,
+        residual={"depends_on": depends_on, "white": False},
+    )
+    sentence = verdict_sentence(report)
     assert "6 % of the drives' force" in sentence
     assert ("lacks on y depends most on velocity of y, which explains 26 %" in sentence) == (
         verdict == "unexplained"
@@ -198,15 +208,14 @@ def test_what_is_left_is_stated_also_if_errors_are_those_of_the_force(verdict: s
 def test_an_error_of_a_run_that_contradicts_the_others_has_a_known_cause(
     runs: list[str], others: float | None, last: str
 ) -> None:
-    errors = {"held_out": {"x_m": {"rmse": 0.02, "noise_ratio": 900.0}}}
-    report = {
-        "verdict": "no_effect",
-        "effects": [],
-        "left": 900.0,
-        "contradicting": runs,
-        "left_in_others": others,
-    }
-    sentence = verdict_sentence(report | dict.fromkeys(("declared", "before", "after"), errors), ["x_m"])
+    report = report_with(
+        {"x_m": {"rmse": 0.02, "noise_ratio": 900.0}},
+        verdict="no_effect",
+        left=900.0,
+        contradicting=runs,
+        left_in_others=others,
+    )
+    sentence = verdict_sentence(report)
     subject = "run_4 contradicts" if len(runs) == 1 else "run_4 and run_8 contradict"
     assert sentence.startswith("No effect was found")
     assert sentence.endswith(
@@ -221,10 +230,10 @@ def test_errors_of_force_are_given_for_all_machines_or_for_none() -> None:
     result = axis_result(axis_runs(AXIS, rows=400, volts=2.0), AXIS.with_effects(frame))
     assert result.before.held_out.force is not None
     assert result.after.held_out.force is None
-    report = result.as_json()
-    assert all("force_error" not in report[stage]["held_out"] for stage in ("declared", "before", "after"))
-    assert "the error on the held-out runs rises from" in verdict_sentence(report, AXIS.output_channels)
-    assert identification_table(report, AXIS.output_channels).row_count == 1
+    report = result.as_report()
+    assert all(evaluation.force_error is None for evaluation in report.machines.values())
+    assert "the error on the held-out runs rises from" in verdict_sentence(report)
+    assert identification_table(report).row_count == 1
 
 
 def test_a_slow_log_is_named_first() -> None:
@@ -235,25 +244,20 @@ def test_a_slow_log_is_named_first() -> None:
         "errors": {"x_m": 3e-5, "y_m": 2e-5, "phi1_rad": 2e-3},
         "fitted_by": "white residual",
     }
-    report = {
-        "verdict": "unexplained",
-        "effects": [],
-        "unknown_voltages": unknown,
-        "residual": {"depends_on": []},
-    } | {stage: {"held_out": errors} for stage in ("declared", "before", "after")}
-    sentence = verdict_sentence(report, ["x_m"])
+
+    def sentence_about(unknown: dict[str, Any] | None) -> str:
+        return verdict_sentence(report_with(errors, unknown_voltages=unknown))
+
+    sentence = sentence_about(unknown)
     assert sentence.startswith(
         "The controller changes the voltages about 5 times between two rows of this log (every 1 ms)"
     )
     assert "errs by 30 µm at x_m and 2 mrad at phi1_rad (rms)" in sentence
     assert "log every row of the controller" in sentence
-    assert "two rows" not in verdict_sentence(report | {"unknown_voltages": None}, ["x_m"])
+    assert "two rows" not in sentence_about(None)
     assert "describe the drives by their set point" in sentence
-    of_set_points = verdict_sentence(
-        report | {"unknown_voltages": unknown | {"commands": "set points"}}, ["x_m"]
-    )
+    of_set_points = sentence_about(unknown | {"commands": "set points"})
     assert of_set_points.startswith("The controller changes the set points about 5 times")
     assert "log every row of the controller (every 1 ms)." in of_set_points
-    unknown["fitted_by"] = "instruments"
     assert "fit by instruments" not in sentence
-    assert "fit by instruments" in verdict_sentence(report, ["x_m"])
+    assert "fit by instruments" in sentence_about(unknown | {"fitted_by": "instruments"})

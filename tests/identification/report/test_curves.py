@@ -10,7 +10,8 @@ import pytest
 
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset
-from hframe_gym.identification.report.curves import page_curves, worst_first
+from hframe_gym.identification.report.curves import channel_noise, page_curves, worst_first
+from hframe_gym.identification.report.document import Plain
 from hframe_gym.identification.report.effect_curves import effect_curve
 from hframe_gym.identification.report.plot_data import plot_data
 from hframe_gym.identification.report.plots import report_panels
@@ -21,14 +22,15 @@ from tests.identification.single_axis import AXIS, PRESLIDING
 
 def test_curves_of_the_page_are_those_of_the_machines_worst_run_first(data: Dataset) -> None:
     result = result_of(data, "effect_found", STRIBECK)
-    report, curves = result.as_json(), plot_data(result)
-    noise = report["after"]["held_out"]["x_m"]["rmse"] / report["after"]["held_out"]["x_m"]["noise_ratio"]
+    report, curves = result.as_report(), plot_data(result)
+    noise = channel_noise(report, "x_m")
+    assert noise is not None
     for name, factor in (("run_8", 1.0), ("run_9", 3.0)):  # two more runs, the second of which is the worst
         curves |= {
             f"{name}/{key}": curves[f"run_2/{key}"] for key in ("time_s", "measured", "declared", "before")
         }
         curves[f"{name}/after"] = factor * noise * np.ones((500, 1))
-    report["runs"]["held_out"] = ["run_8", "run_9"]
+    report.runs.held_out = ["run_8", "run_9"]
     drawn = page_curves(report, curves, ["x_m"])
     assert [run["label"] for run in drawn["runs"]] == ["run_9: 3 × noise", "run_8: 1 × noise"]
     assert [machine["key"] for machine in drawn["machines"]] == ["declared", "before", "after"]
@@ -40,14 +42,14 @@ def test_curves_of_the_page_are_those_of_the_machines_worst_run_first(data: Data
 
 
 def test_a_long_curve_keeps_its_peaks_and_the_page_stays_small(data: Dataset) -> None:
-    report = result_of(data, "effect_found", STRIBECK).as_json()
-    report["plain"] = report["before"]
-    report["runs"]["held_out"] = [f"run_{k}" for k in range(20)]
+    report = result_of(data, "effect_found", STRIBECK).as_report()
+    report.plain = Plain(held_out=report.before.held_out)
+    report.runs.held_out = [f"run_{k}" for k in range(20)]
     time_s = 1e6 + 1e-3 * np.arange(100_000)
     errors = 1e-5 * np.sin(time_s)[:, None]
     errors[54_321] = 7e-3
     values = dict.fromkeys(("measured", "declared", "before", "after", "plain"), errors) | {"time_s": time_s}
-    curves = {f"{run}/{key}": value for run in report["runs"]["held_out"] for key, value in values.items()}
+    curves = {f"{run}/{key}": value for run in report.runs.held_out for key, value in values.items()}
     drawn = page_curves(report, curves, ["x_m"])
     assert [machine["label"] for machine in drawn["machines"]] == [
         "as declared",
@@ -80,7 +82,7 @@ def test_an_effect_is_drawn_with_the_band_of_its_parameters(data: Dataset) -> No
     by_width = 0.8 * shape * 2 * curve.x**2 / 0.02**3
     variance = 0.04 + 0.01 * shape**2 - 2 * 0.018 * shape + 1e-6 * by_width**2
     assert curve.std == pytest.approx(np.sqrt(variance), rel=1e-3)
-    report = result_of(data, "effect_found", machine).as_json()
+    report = result_of(data, "effect_found", machine).as_report()
     assert len(report_panels(report, curves, machine, AXIS)["effects"]) == 1
     assert not report_panels(report, curves, machine, declared=machine)["effects"]
 

@@ -10,6 +10,7 @@ import pytest
 
 from hframe_gym.controllers import TextbookPID
 from hframe_gym.identification import Dataset, write_result
+from hframe_gym.identification.report.document import DeterminedSum, NotSeparable, UndeclaredFriction
 from hframe_gym.identification.report.instructions import next_steps
 from hframe_gym.identification.report.saved_result import load_result
 from hframe_gym.machine import BUILTIN_MACHINES
@@ -52,7 +53,7 @@ def test_the_run_to_record_follows_from_the_dependence(
 ) -> None:
     write_result(result_of(data, "unexplained", AXIS), tmp_path)
     saved = load_result(tmp_path)
-    saved.report["residual"]["depends_on"][0]["variable"] = variable
+    saved.report.residual.depends_on[0].variable = variable
     (step,) = next_steps(saved, tmp_path, (), ["run_2"])
     assert text in step["text"]
     assert step["command"].startswith("hframe identify RUNS --machine")
@@ -65,8 +66,8 @@ def test_a_counter_of_pulses_is_replaced_and_undeclared_friction_declared(
     saved = load_result(tmp_path)
     counter = dataclasses.replace(AXIS.sensors[0], channel="x_m_s", kind="unsigned-speed")
     saved = dataclasses.replace(saved, machine=AXIS.replace(sensors=(counter,)))
-    saved.report["undeclared_friction"] = [
-        {"parameter": "x.coulomb", "value": 3.0, "std": None, "unit": "N", "percent_of_drives": None}
+    saved.report.undeclared_friction = [
+        UndeclaredFriction(parameter="x.coulomb", value=3.0, std=None, unit="N", percent_of_drives=None)
     ]
     sensor, friction = next_steps(saved, tmp_path, (), ["run_2"])
     assert "Add a sensor that shows the direction" in sensor["text"]
@@ -78,11 +79,9 @@ def test_the_steps_name_what_to_measure_and_a_controller_with_its_period(
 ) -> None:
     write_result(result_of(data, "no_effect", AXIS), tmp_path, ("advice: odd",))
     saved = load_result(tmp_path)
-    group = {
-        "parameters": ["x.viscous", "motor.Ke"],
-        "determined": [{"weights": {"x.viscous": 1.0, "motor.Ke": 5.0}}],
-    }
-    saved.report.update({"not_separable": [group], "left": 1.0})
+    determined = DeterminedSum(weights={"x.viscous": 1.0, "motor.Ke": 5.0}, value=6.0, std=0.1)
+    saved.report.not_separable = [NotSeparable(parameters=["x.viscous", "motor.Ke"], determined=[determined])]
+    saved.report.left = 1.0
     control, measure, findings = next_steps(saved, tmp_path, (), ["run_2"])
     assert "determine motor.Ke (take it from the data sheet of the motor, or turn" in measure["text"]
     assert "determine only x.viscous + 5 motor.Ke." in measure["text"]
@@ -92,7 +91,7 @@ def test_the_steps_name_what_to_measure_and_a_controller_with_its_period(
     )
     assert control["command"].startswith("hframe evaluate pid")
     assert "Read the findings about the recordings (1)" in findings["text"]
-    saved.report["left"] = 3205.0
+    saved.report.left = 3205.0
     assert any(
         "Look at run_2, the run with the largest error" in s["text"]
         for s in next_steps(saved, tmp_path, (), ["run_2"])
@@ -106,7 +105,7 @@ def test_the_period_of_a_textbook_controller_is_the_longest_one_that_is_stable(
     periods = [p for p in (0.01, 0.005, 0.002, 0.001, 0.0005) if TextbookPID(stage, p).concern() is None]
     write_result(result_of(data, "no_effect", AXIS), tmp_path)
     saved = dataclasses.replace(load_result(tmp_path), machine=stage)
-    saved.report["left"] = 1.0
+    saved.report.left = 1.0
     (step,) = next_steps(saved, tmp_path, (), ["run_2"])
     expected = {0.01: "is stable at this period as well", 0.005: "needs 5 ms or less", 0.002: "needs 2 ms or less",
                 0.001: "needs 1 ms or less", 0.0005: "needs 0.5 ms or less"}  # fmt: skip

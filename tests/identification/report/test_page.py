@@ -24,6 +24,7 @@ from hframe_gym.identification.report.document import Hint
 from hframe_gym.identification.report.experiment_design import FILE
 from hframe_gym.identification.report.page import build_report
 from hframe_gym.identification.report.result import Unfinished, Verdict
+from hframe_gym.identification.report.saved_result import read_report
 from hframe_gym.identification.validate.machine_errors import PredictionErrors
 from hframe_gym.identification.validate.simpler_machines import PlainResult
 from hframe_gym.machine import Uncertainty
@@ -234,7 +235,7 @@ def test_a_machine_that_diverges_has_no_error_but_a_cause(data: Dataset, tmp_pat
     assert "nan" not in page.replace("finance", "").lower().split("<body", 1)[1].split("<svg", 1)[0]
     report = json.loads((tmp_path / "report.json").read_text())
     assert report["declared"]["held_out"]["x_m"] == {"rmse": None, "noise_ratio": None}
-    sentence = verdict_sentence(report, ["x_m"])
+    sentence = verdict_sentence(read_report(tmp_path))
     assert "infinitely many (its simulation diverges) times the sensors' noise" in sentence
     assert np.isnan(dataclasses.replace(result_of(data, "effect_found", STRIBECK), before=diverged).explained)
 
@@ -283,6 +284,6 @@ def test_an_unexplained_error_is_stated_in_the_users_terms_with_a_hint(data: Dat
     assert command.endswith("--budget inf")
     assert report["before"]["missing_force_percent"] == pytest.approx(0.37)
     assert report["before"]["held_out"]["x_m"]["percent_of_motion"] == pytest.approx(2.1)
-    table = identification_table(report, AXIS.output_channels)
+    table = identification_table(read_report(tmp_path))
     assert list(table.columns[2].cells) == ["5 mm\n250 x\n2.1 %"]
     assert "0.37 %" in str(table.caption)

@@ -19,16 +19,16 @@ from tests.identification.single_axis import AXIS
 def test_a_channel_that_was_not_measured_has_no_plot_over_time(data: Dataset) -> None:
     result = result_of(data, "no_effect", AXIS)
     curves = plot_data(result)
-    assert len(report_panels(result.as_json(), curves, AXIS, AXIS)["error_over_time"]) == 1
+    assert len(report_panels(result.as_report(), curves, AXIS, AXIS)["error_over_time"]) == 1
     curves |= {"run_2/measured": np.full_like(curves["run_2/measured"], np.nan)}
-    assert report_panels(result.as_json(), curves, AXIS, AXIS)["error_over_time"] == []
+    assert report_panels(result.as_report(), curves, AXIS, AXIS)["error_over_time"] == []
 
 
 def test_errors_over_position_and_speed_lie_in_the_region_of_white_noise_only_if_they_are(
     data: Dataset,
 ) -> None:
     result = result_of(data, "effect_found", STRIBECK)
-    report, curves = result.as_json(), plot_data(result)
+    report, curves = result.as_report(), plot_data(result)
     noise, rng = data.noise[0], np.random.default_rng(0)
     measured = curves["run_2/measured"][:, 0]
     fractions = []

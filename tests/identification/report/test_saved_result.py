@@ -225,7 +225,7 @@ def test_a_damaged_folder_is_refused_with_the_name_of_the_file(name: str, folder
 
 
 def test_an_undamaged_folder_is_accepted(folder: Path) -> None:
-    assert load_result(folder).report["verdict"] == "effect_found"
+    assert load_result(folder).report.verdict == "effect_found"
     assert "cogging at motor" in build_report(folder).read_text()
 
 
