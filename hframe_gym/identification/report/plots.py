@@ -129,10 +129,14 @@ def _error_by_channel(report: Report, channels: list[str]) -> Panel:
     def draw(axes: Any) -> None:
         for k, (stage, label) in enumerate(stages.items()):
             rows = np.arange(len(channels)) + 0.27 * (k - (len(stages) - 1) / 2)
-            bars = axes.barh(rows, ratios[stage], height=0.25, color=color(stage), label=label)
-            axes.bar_label(
-                bars, labels=["" if np.isnan(v) else number(v) for v in ratios[stage]], padding=2, fontsize=8
-            )
+            axes.barh(rows, ratios[stage], height=0.25, color=color(stage), label=label)
+            for row, ratio in zip(rows, ratios[stage], strict=True):
+                if np.isfinite(ratio):
+                    # At the right of the dashed line also where the bar ends before it.
+                    place = (max(ratio, 1.0), row)
+                    axes.annotate(
+                        number(ratio), place, (4, 0), textcoords="offset points", va="center", fontsize=8
+                    )
         axes.axvline(1.0, color=color("ink"), lw=1, ls="--")
         axes.set(xscale="log", yticks=range(len(channels)), yticklabels=channels)
         axes.set_xlabel("rms error / sensor noise (dashed: 1)")
