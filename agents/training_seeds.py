@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import InputError
-from ..files import newest, output_batch
+from ..files import files_of, newest, output_batch, write_files
 from ..machine import Machine
-from ..parallel import files_of, map_tasks, write_files
+from ..parallel import map_tasks
 from ..recordings import load_machine
 from .agent_files import RESUME_FILES, refuse_to_replace, sign_checkpoint
 from .optional_dependencies import require_training_packages

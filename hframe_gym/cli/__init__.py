@@ -17,7 +17,7 @@ from typing import Annotated
 import typer
 from typer import Option
 
-from ..version import __version__
+from ..version import SOFTWARE
 from . import app_commands, control_commands, export_commands, machine_commands, recording_commands
 from .application import app
 from .messages import DEBUG_VARIABLE, FAULT_FOUND, describe_failure, print_warning
@@ -37,7 +37,7 @@ __all__ = [
 def _print_version(requested: bool) -> None:
     """Print the version and exit if --version is given."""
     if requested:
-        log(f"hframe_gym {__version__}")
+        log(SOFTWARE)
         raise typer.Exit
 
 

@@ -11,7 +11,7 @@ import typer
 from typer import Argument, Option
 
 from ..errors import InputError
-from ..files import locked_folder, output_batch
+from ..files import locked_folder, output_batch, output_folder
 from ..operating_system import quoted
 from ..parallel import map_tasks
 from .application import CommandWithChoices, app, register_agents
@@ -29,7 +29,6 @@ from .options import (
     RayOption,
     SensorsOption,
     TaskOption,
-    require_folder,
 )
 from .output import console, log
 from .progress import progress_bar
@@ -97,7 +96,7 @@ def train(
         return
     columns = BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
     bar = Progress(*columns, console=console, disable=not console.is_terminal)
-    with locked_folder(require_folder(out)), bar, value_errors_as_input_errors():
+    with locked_folder(output_folder(out)), bar, value_errors_as_input_errors():
         bar_task = bar.add_task("", total=None)
 
         def progress(done: int, total: int) -> None:
@@ -117,7 +116,7 @@ def _train_seeds(out: Path, **options: Any) -> None:
 
     options["show_curves"] = not console.is_terminal  # the workers' lines would interrupt the bar
     with (
-        locked_folder(require_folder(out)),
+        locked_folder(output_folder(out)),
         value_errors_as_input_errors(),
         progress_bar("training") as progress,
     ):
@@ -171,7 +170,7 @@ def evaluate(
     declared = load_machine(machine)
     options: dict[str, Any] = {"randomize": randomize, "sensors": sensors, "episodes": episodes, "seed": seed}
     options |= {"machine": declared, "period": period}
-    with locked_folder(require_folder(out)):
+    with locked_folder(output_folder(out)):
         with value_errors_as_input_errors():
             options["task"] = task_with_path(task, path, declared.axis_unit)
             scores, recorded, warned = _evaluate_all(options, list(dict.fromkeys(controllers)), ray)
@@ -253,7 +252,7 @@ def _evaluate_by_protocol(
         source = context.get_parameter_source(option)
         if source is not None and source.name != "DEFAULT":
             raise InputError(f"--{option}: --protocol {name} fixes everything; leave --{option} out")
-    with locked_folder(require_folder(out)):
+    with locked_folder(output_folder(out)):
         with value_errors_as_input_errors():
             contents = list(map_tasks(partial(_protocol_result, name), controllers, ray=ray))
         with output_batch(out):

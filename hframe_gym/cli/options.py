@@ -8,8 +8,6 @@ from typing import Annotated
 
 from typer import Argument, Option
 
-from ..errors import InputError
-
 MAX_SEED = 2**31 - 1
 
 _MACHINE = "A machine.json or a built-in name (see `hframe machines`)."
@@ -62,10 +60,3 @@ class RunFormats(StrEnum):
     CSV_GZ = "csv.gz"
     CSV = "csv"
     PARQUET = "parquet"
-
-
-def require_folder(path: Path) -> Path:
-    """Return the value of the option --out, a folder that need not exist yet; an InputError refuses a file."""
-    if path.exists() and not path.is_dir():
-        raise InputError(f"--out {path}: is a file, but must be a folder")
-    return path

@@ -15,9 +15,9 @@ import typer
 from typer import Argument, Option
 
 from ..errors import InputError
-from ..files import locked_folder, output_batch, remove_file
+from ..files import files_of, locked_folder, output_batch, output_folder, remove_file, write_files
 from ..operating_system import quoted
-from ..parallel import files_of, map_tasks, write_files
+from ..parallel import map_tasks
 from .application import CommandWithChoices, app
 from .identify_steps import check_recordings_before_fit, proposed_formulas, require_several_runs, rig_folders
 from .messages import FAULT_FOUND, INTERNAL_ERROR, describe_failure
@@ -28,7 +28,6 @@ from .options import (
     RayOption,
     RecordingsArgument,
     RunFormats,
-    require_folder,
 )
 from .output import closed_output_tolerated, console, log, plain_text
 from .progress import finishing_on_interrupt, progress_bar, search_progress
@@ -232,7 +231,7 @@ def identify(
         raise InputError(f"--out {out}: is the folder of the recordings; give another one, such as {other}")
     declared, rigs = load_machine(machine), rig_folders(runs_dir)
     fit = partial(_fit_rig, declared, hold_out or (), force, budget)
-    with locked_folder(require_folder(out)):
+    with locked_folder(output_folder(out)):
         if rigs or ray is not None:
             outputs = {rig: out / rig.name for rig in rigs} or {runs_dir: out}
             read = [

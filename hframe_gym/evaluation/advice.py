@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ..envs import ACTUATOR_PRESETS, RANDOMIZATION_PRESETS, SENSOR_PRESETS
 from ..operating_system import quoted
-from ..web_page import number
+from ..web_page import NextStep, number
 from .metrics import ranked_episodes
 from .reported_scores import ratio_to_bounds, task_name
-from .scenario import Command, Episodes
+from .scenario import Command, Episodes, Scenario
 
 _SENSORS = {
     "state": "exact positions and velocities, without noise, rounding or delay, which no sensor measures",
@@ -29,14 +30,8 @@ _MACHINES = {
     "wide": "masses, friction, belts and motors vary much from episode to episode",
     "identified": "parameters vary as far as the recordings leave them uncertain",
 }
-_DEFAULTS = {  # of the options of `hframe evaluate`
-    "task": "reach",
-    "path": None,
-    "randomize": "default",
-    "sensors": "state",
-    "period": 0.01,
-    "episodes": 512,
-}
+# Of a scenario, as of the options of `hframe evaluate`.
+_DEFAULTS = {field.name: field.default for field in dataclasses.fields(Scenario)}
 # Ratio to the shortest possible time above which another controller may be clearly faster.
 _CLEAR_GAIN = 1.15
 
@@ -62,7 +57,7 @@ def next_steps(
     worst: str,
     warnings: Sequence[str],
     machine: str,
-) -> list[dict[str, str]]:
+) -> list[NextStep]:
     """Return what to do after an evaluation, the most important step first.
 
     Args:
@@ -77,37 +72,37 @@ def next_steps(
     steps = []
     period = scores["period_s"]
     if warnings:
-        steps.append(_step("Remove what the warnings at the top name, and evaluate again."))
+        steps.append(NextStep("Remove what the warnings at the top name, and evaluate again."))
     if best is None:
         shorter = 0.2 * period
         text = f"Evaluate with a shorter control period, for example {number(1e3 * shorter)} ms, or other controllers."
         names = list(scores["controllers"])
-        return [*steps, _step(text, _evaluation(scores, names, machine, period=shorter))]
+        return [*steps, NextStep(text, _evaluation(scores, names, machine, period=shorter))]
     if scores["sensors"] == "state":
         text = f"Evaluate {best} with the sensors of the machine: these scores assume exact positions and velocities."
-        steps.append(_step(text, _evaluation(scores, [best], machine, sensors="machine")))
+        steps.append(NextStep(text, _evaluation(scores, [best], machine, sensors="machine")))
     if second is not None:
         text = f"If you must choose between {best} and {second}, compare them in more episodes."
         count = 4 * scores["episodes"]
-        steps.append(_step(text, _evaluation(scores, [best, second], machine, episodes=count)))
+        steps.append(NextStep(text, _evaluation(scores, [best, second], machine, episodes=count)))
     if worst:
         text = (
             f"Record the hardest move on the machine under {best}: {worst}. If the record differs from its plot on "
             "this page, identify again with it."
         )
-        steps.append(_step(text))
+        steps.append(NextStep(text))
     ratio = ratio_to_bounds(scores["controllers"][best])
     if ratio is not None and ratio["mean"] > _CLEAR_GAIN:
         text = (
             f"{best} needs {number(100.0 * (ratio['mean'] - 1.0))} % more than the shortest possible time. If that "
             "matters, evaluate the controller predictive, or train an agent."
         )
-        steps.append(_step(text, _evaluation(scores, [best, "predictive"], machine)))
+        steps.append(NextStep(text, _evaluation(scores, [best, "predictive"], machine)))
     text = f"Use {best} with a control period of {number(1e3 * period)} ms."
     if best in ("pid", "textbook-pid"):
         command = f"hframe export gains --machine {quoted(machine)} --period {period:g} --out gains"
-        return [*steps, _step(f"{text} Its gains, as they are typed into a drive:", command)]
-    return [*steps, _step(text)]
+        return [*steps, NextStep(f"{text} Its gains, as they are typed into a drive:", command)]
+    return [*steps, NextStep(text)]
 
 
 def worst_move(episodes: Episodes) -> str:
@@ -121,11 +116,6 @@ def worst_move(episodes: Episodes) -> str:
     return f"from ({start}) {small} to ({goal}) {small}"
 
 
-def _step(text: str, command: str = "") -> dict[str, str]:
-    """Return one step."""
-    return {"text": text, "command": command}
-
-
 def _evaluation(scores: Mapping[str, Any], names: Sequence[str], machine: str, **changes: Any) -> str:
     """Return the command that evaluates controllers as before but for some options; "" if no command does so."""
     if str(scores["randomize"]) not in RANDOMIZATION_PRESETS or str(scores["sensors"]) not in SENSOR_PRESETS:
@@ -137,7 +127,7 @@ def _evaluation(scores: Mapping[str, Any], names: Sequence[str], machine: str, *
     words = [
         f" --{key} {quoted(f'{value:g}' if isinstance(value, float) else str(value))}"
         for key, value in options.items()
-        if value != _DEFAULTS[key]
+        if value != _DEFAULTS.get(key)
     ]
     chosen = " ".join(map(quoted, names))
     return f"hframe evaluate {chosen} --machine {quoted(machine)}{''.join(words)} --html --out out/again"

@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from typing_extensions import override
 
 from ..errors import InputError
-from ..files import atomic_file, output_batch
+from ..files import output_folder, write_files
 from ..machine import Coordinate, Machine, rest_positions_per_axis, rest_state
 from ..recordings import load_machine, machine_to_dict
 from ..registry import Registry
-from ..version import __version__
+from ..version import SOFTWARE
 
 Files = Mapping[str, str | bytes]
 HELP, ARGUMENT, CLI_TYPE, RANGE = "help", "argument", "cli_type", "range"  # keys of the metadata of a field
@@ -112,29 +112,21 @@ class MachineExporter(Exporter):
         files = self.files(self.loaded())
         chosen = [name for name in files if out.suffix and name.endswith(out.suffix)]
         if out.is_dir() or not out.suffix:
-            if out.exists() and not out.is_dir():
-                raise InputError(f"--out {out}: is a file, but must be a folder")
-            targets = {out / name: content for name, content in files.items()}
+            write_export(output_folder(out), files, log)
         elif self.separable and len(chosen) == 1:
-            targets = {out: files[chosen[0]]}
+            write_export(out.parent, {out.name: files[chosen[0]]}, log)
         else:
             raise InputError(
                 f"--out {out}: the export {self.kind} has the files {', '.join(files)}; name a folder for them"
                 + (" or a file with the suffix of one of them" if self.separable else "")
             )
-        with output_batch(out.parent if out in targets else out):
-            for path, content in targets.items():
-                with atomic_file(path) as file:
-                    file.write(content.encode() if isinstance(content, str) else content)
-        for path in targets:
-            log(f"wrote {path}")
 
     def provenance(self, machine: Machine) -> dict[str, Any]:
         """Describe where an export comes from: machine and its hash, options and version, but no date."""
         content = json.dumps(machine_to_dict(machine), sort_keys=True)
         options = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name != "machine"}
         return {
-            "software": f"hframe_gym {__version__}",
+            "software": SOFTWARE,
             "export": self.kind,
             "options": {name: value for name, value in options.items() if value is not None},
             "machine": machine.name,
@@ -156,6 +148,14 @@ class MachineExporter(Exporter):
             *more,
         ]
         return [plain(line) for line in lines]
+
+
+def write_export(folder: Path, files: Files, log: Callable[[str], None]) -> None:
+    """Write the files of an export to a folder, all together or none, and log the path of each."""
+    contents = {name: text.encode() if isinstance(text, str) else text for name, text in files.items()}
+    write_files(folder, contents)
+    for name in files:
+        log(f"wrote {folder / name}")
 
 
 def refuse_drive_laws(machine: Machine, what: str) -> None:

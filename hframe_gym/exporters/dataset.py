@@ -10,6 +10,7 @@ from typing import Any
 from typing_extensions import override
 
 from ..errors import InputError
+from ..files import output_folder
 from ..machine import Machine
 from .base import EXPORTERS, Exporter, argument, option
 
@@ -49,9 +50,7 @@ class DatasetExporter(Exporter):
         """Write the data sets; each appears when it is complete."""
         from ..evaluation import Scenario, dataset_controller, export_dataset
 
-        out = Path(out)
-        if out.exists() and not out.is_dir():
-            raise InputError(f"--out {out}: is a file, but must be a folder")
+        out = output_folder(out)
         options: dict[str, Any] = {
             key: getattr(self, key) for key in ("randomize", "sensors", "episodes", "seed")
         }

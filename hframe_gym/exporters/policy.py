@@ -13,10 +13,10 @@ import numpy as np
 from typing_extensions import override
 
 from ..errors import InputError
-from ..files import atomic_file, output_batch
+from ..files import output_folder
 from ..machine import observed_coordinates
-from ..version import __version__
-from .base import EXPORTERS, Exporter, argument, json_text, option
+from ..version import SOFTWARE
+from .base import EXPORTERS, Exporter, argument, json_text, option, write_export
 
 OPSET = 17  # of ONNX, from 2022; runtimes since then have it
 _MEANINGS = {
@@ -45,16 +45,8 @@ class PolicyExporter(Exporter):
 
     @override
     def write(self, out: str | Path, log: Callable[[str], None] = lambda line: None) -> None:
-        out = Path(out)
-        if out.exists() and not out.is_dir():
-            raise InputError(f"--out {out}: is a file, but must be a folder")
-        files = self.files(log)
-        with output_batch(out):
-            for name, content in files.items():
-                with atomic_file(out / name) as file:
-                    file.write(content)
-        for name in files:
-            log(f"wrote {out / name}")
+        folder = output_folder(out)
+        write_export(folder, self.files(log), log)
 
     def files(self, log: Callable[[str], None] = lambda line: None) -> dict[str, bytes]:
         """Convert the agent to the content of each file; the log gets a line that says why a file is missing.
@@ -195,7 +187,7 @@ def _contract(agent: Any, keys: list[str], example: tuple[Any, ...], name: str) 
         inputs.append(about)
     return {
         "provenance": {
-            "software": f"hframe_gym {__version__}",
+            "software": SOFTWARE,
             "export": "policy",
             "agent": name,
             "machine": machine.name,

@@ -22,6 +22,7 @@ from .limits import (
     refuse_long_line,
     refuse_many_values,
 )
+from .outputs import files_of, output_folder, write_files
 
 __all__ = [
     "MAX_LINE",
@@ -30,9 +31,11 @@ __all__ = [
     "cache_folder",
     "complete_commit",
     "expansion_limit",
+    "files_of",
     "locked_folder",
     "newest",
     "output_batch",
+    "output_folder",
     "read_arrays",
     "read_document",
     "read_json",
@@ -41,5 +44,6 @@ __all__ = [
     "refuse_many_values",
     "remove_file",
     "scratch_folder",
+    "write_files",
     "write_text",
 ]

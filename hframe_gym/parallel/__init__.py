@@ -1,7 +1,7 @@
 """Tasks in parallel, on this machine or on a cluster of Ray, with the same results as one after the other."""
 
 from .ray_cluster import LOCAL_RAY
-from .tasks import files_of, map_tasks, write_files
+from .tasks import map_tasks
 from .threads import single_threaded_linear_algebra
 
-__all__ = ["LOCAL_RAY", "files_of", "map_tasks", "single_threaded_linear_algebra", "write_files"]
+__all__ = ["LOCAL_RAY", "map_tasks", "single_threaded_linear_algebra"]

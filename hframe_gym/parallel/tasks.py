@@ -7,13 +7,11 @@ writes all files; workers write no common files.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from pathlib import Path
 
 from ..errors import InputError
-from ..files import atomic_file, output_batch, scratch_folder
 from .local_processes import local_processes
 from .ray_cluster import ray_workers
 from .worker import ATTEMPTS, Item, Result
@@ -72,33 +70,6 @@ def map_tasks(
                 completed(index, results[index])
             while (following := len(items) - len(order) - len(results)) in results:
                 yield results.pop(following)
-
-
-def files_of(write: Callable[[Path], Result]) -> tuple[Result, dict[str, bytes]]:
-    """Run a function that writes files to an empty folder; return its result, and the files by relative path.
-
-    A worker process, which must not write to the folders of its caller, returns its files in this way; the calling
-    process writes them with `write_files`.
-    """
-    with scratch_folder() as scratch:
-        folder = scratch / "files"  # the scratch folder itself is locked
-        folder.mkdir()
-        result = write(folder)
-        paths = sorted(path for path in folder.rglob("*") if path.is_file())
-        return result, {str(path.relative_to(folder)): path.read_bytes() for path in paths}
-
-
-def write_files(folder: str | Path, files: Mapping[str, bytes]) -> None:
-    """Write files, by relative path, to a folder; they appear together, or none of them.
-
-    Raises:
-        InputError: If another process writes to the folder.
-        OSError: If the folder cannot be written, or the disk is full.
-    """
-    with output_batch(folder):
-        for name, content in files.items():
-            with atomic_file(Path(folder) / name) as file:
-                file.write(content)
 
 
 def _result(future: Future[Result], index: int) -> Result:

@@ -6,12 +6,13 @@ matplotlib, pages Jinja: the extra `report`.
 """
 
 from .colors import COLORS, SERIES, color
-from .page import number, write_page
+from .page import NextStep, number, write_page
 from .panels import Panel, legend_above, panel_svg, plot_style, save_panels
 
 __all__ = [
     "COLORS",
     "SERIES",
+    "NextStep",
     "Panel",
     "color",
     "legend_above",

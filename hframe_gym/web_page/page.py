@@ -5,12 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from ..errors import naming_extra
 from ..files import write_text
 from .colors import COLORS
 from .panels import NEED, Panel, panel_svg
+
+
+class NextStep(NamedTuple):
+    """What the reader of a page should do next: a sentence, and the command that does it, "" if there is none."""
+
+    text: str
+    command: str = ""
 
 
 def write_page(path: Path, package: str, template: str, values: Mapping[str, Any]) -> None:

@@ -20,7 +20,8 @@ from hframe_gym.agents.agent_files import refuse_unsigned
 from hframe_gym.cli.application import CommandWithChoices
 from hframe_gym.cli.options import RayOption
 from hframe_gym.errors import InputError
-from hframe_gym.parallel import files_of, local_processes, map_tasks, ray_cluster, worker, write_files
+from hframe_gym.files import files_of, write_files
+from hframe_gym.parallel import local_processes, map_tasks, ray_cluster, worker
 from hframe_gym.recordings import save_machine, write_recording
 from tests.identification.single_axis import AXIS, axis_recordings
 from tests.parallel.worker_tasks import draw, fail, threads_of

@@ -11,7 +11,7 @@ from ...envs import EnvConfig
 from ...errors import InputError
 from ...machine import BUILTIN_MACHINES, Machine
 from ...operating_system import quoted
-from ...web_page import number
+from ...web_page import NextStep, number
 from ..fit.inseparable_parameters import sum_text
 from ..judge.criteria import SelectionCriteria
 from .document import Report
@@ -52,7 +52,7 @@ _MEASUREMENTS = (  # by the ending of a parameter's name, those first that are m
 
 def next_steps(
     saved: SavedResult, folder: Path, effects: Sequence[Mapping[str, Any]], runs: Sequence[str]
-) -> list[dict[str, str]]:
+) -> list[NextStep]:
     """Return what to do next, the most important step first.
 
     Args:
@@ -68,19 +68,19 @@ def next_steps(
     findings = []
     if report.warnings:
         text = f"Read the findings about the recordings ({len(report.warnings)}) in the section Recordings."
-        findings = [_step(text)]
+        findings = [NextStep(text)]
     steps = _recordings(saved, folder, effects)
     if (
         report.left or 0.0
     ) > SelectionCriteria().max_noise_ratio_explained and report.verdict != "unexplained":
         steps.append(
-            _step(
+            NextStep(
                 f"Look at {runs[0]}, the run with the largest error, where measured and simulated curves part."
             )
         )
     if report.proposed_formulas:
         text = "A formula is proposed in place of the table; review it and write it as an effect."
-        steps.append(_step(text, f"hframe effects new NAME --from {folder}"))
+        steps.append(NextStep(text, f"hframe effects new NAME --from {folder}"))
     measurements = [*_declarations(report), *_measurements(report)]
     if report.verdict == "unexplained":
         return [*_continued(saved, folder), *steps, *measurements, *findings]
@@ -88,42 +88,35 @@ def next_steps(
     return [*steps, control, *_continued(saved, folder), *measurements, *findings]
 
 
-def _step(text: str, command: str = "") -> dict[str, str]:
-    """Return one step."""
-    return {"text": text, "command": command}
-
-
-def _recordings(
-    saved: SavedResult, folder: Path, effects: Sequence[Mapping[str, Any]]
-) -> list[dict[str, str]]:
+def _recordings(saved: SavedResult, folder: Path, effects: Sequence[Mapping[str, Any]]) -> list[NextStep]:
     """Return what to record: a proposed experiment, or runs that show what the missing force depends on."""
     report = saved.report
     if report.next_experiment:
         why, file = report.next_experiment.why, report.next_experiment.file
         commands = saved.machine.commands_in_words
         text = f"{why} Apply the {commands} of {folder / file}, record the run, and identify again with it."
-        return [_step(text, _again(saved, folder))]
+        return [NextStep(text, _again(saved, folder))]
     if report.verdict == "unexplained" and not saved.machine.shows_direction:
-        return [_step(_NO_DIRECTION, _again(saved, folder))]
+        return [NextStep(_NO_DIRECTION, _again(saved, folder))]
     if report.verdict == "unexplained":
         text = (
             "Look for a physical cause of the dependence in the section Residual force. Record runs that isolate it: "
             f"{_isolating(report, saved.machine.commands_in_words)}. Then identify again with them."
         )
-        return [_step(text, _again(saved, folder))]
+        return [NextStep(text, _again(saved, folder))]
     for kind, why in _NO_EXPERIMENT.items():
         for effect in effects:
             if effect[kind]:
-                return [_step(f"{why} {effect['name']} at {effect['site']} from {effect[kind][0]}.")]
+                return [NextStep(f"{why} {effect['name']} at {effect['site']} from {effect[kind][0]}.")]
     return []
 
 
-def _continued(saved: SavedResult, folder: Path) -> list[dict[str, str]]:
+def _continued(saved: SavedResult, folder: Path) -> list[NextStep]:
     """Return the step that repeats a search that ended early."""
     if not saved.report.unfinished:
         return []
     text = "The search ended early: repeat it without a limit. Ctrl-C ends it with what was found until then."
-    return [_step(text, f"{_again(saved, folder)} --budget inf")]
+    return [NextStep(text, f"{_again(saved, folder)} --budget inf")]
 
 
 def _isolating(report: Report, commands: str) -> str:
@@ -135,16 +128,16 @@ def _isolating(report: Report, commands: str) -> str:
     return "move slowly and fast, one axis at a time, over the full travel"
 
 
-def _declarations(report: Report) -> list[dict[str, str]]:
+def _declarations(report: Report) -> list[NextStep]:
     """Return the step that declares friction which the machine file does not have."""
     values = [
         f"{friction.parameter} {number(friction.value)} {friction.unit}"
         for friction in report.undeclared_friction
     ]
-    return [_step(f"Declare the friction in declared.json: {', '.join(values)}.")] if values else []
+    return [NextStep(f"Declare the friction in declared.json: {', '.join(values)}.")] if values else []
 
 
-def _measurements(report: Report) -> list[dict[str, str]]:
+def _measurements(report: Report) -> list[NextStep]:
     """Return the parameters that a user should measure, because the recordings determine only sums with them."""
     steps = []
     for group in report.not_separable:
@@ -155,11 +148,11 @@ def _measurements(report: Report) -> list[dict[str, str]]:
             f"If you need {' and '.join(group.parameters)} one by one, determine {name} ({how}), write it to "
             f"declared.json, and identify again: these runs determine only {sums}."
         )
-        steps.append(_step(text))
+        steps.append(NextStep(text))
     return steps
 
 
-def _control(verdict: str, machine: Machine, folder: Path, has_effects: bool) -> dict[str, str]:
+def _control(verdict: str, machine: Machine, folder: Path, has_effects: bool) -> NextStep:
     """Return the step that uses the machine: a controller with its control period, or a simulation."""
     which = "corrected" if has_effects else "refitted"
     command = next_command(verdict, machine, folder)
@@ -168,20 +161,20 @@ def _control(verdict: str, machine: Machine, folder: Path, has_effects: bool) ->
             f"Simulate the {which} machine with other inputs (it has no workspace in which a controller is "
             "evaluated)."
         )
-        return _step(
+        return NextStep(
             text,
             f"hframe simulate --machine {quoted(str(folder / 'machine.json'))} --inputs RUN.csv --out OUT.csv",
         )
     period = shorter_period(machine, EnvConfig.period) or EnvConfig.period
     if machine.drive_laws:
         text = f"Try set points on the {which} machine: set-point streams trajectories to its drives."
-        return _step(text, command)
+        return NextStep(text, command)
     text = (
         f"Design and compare controllers on the {which} machine, pid first, with a control period of "
         f"{number(1e3 * period)} ms.{_textbook_period(machine, period)}"
     )
     argument = "" if period == EnvConfig.period else f", period={period:g}"
-    return _step(f'{text} In Python: gym.make("HFrame-v0", machine=...{argument}).', command)
+    return NextStep(f'{text} In Python: gym.make("HFrame-v0", machine=...{argument}).', command)
 
 
 def _textbook_period(machine: Machine, period: float) -> str:

@@ -68,7 +68,7 @@ def build_report(folder: Path, final_folder: Path | None = None) -> Path:
         "report": report,
         "heading": _heading(report, tone),
         "tone": tone,
-        "answers": answers(saved, effects, runs, steps[0]["text"]),
+        "answers": answers(saved, effects, runs, steps[0].text),
         "tiles": _tiles(report),
         "channels": [_channel_row(report, c) for c in channels],
         "force": _force_row(report),

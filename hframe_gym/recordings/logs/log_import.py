@@ -16,7 +16,7 @@ import numpy as np
 
 from ...arrays import Array
 from ...errors import InputError, name_runs
-from ...files import output_batch, read_document, read_json
+from ...files import output_batch, output_folder, read_document, read_json
 from ...machine import Machine
 from ..cleaning import GAP_PERIODS
 from ..recording import Recording, run_name, write_recording
@@ -122,9 +122,7 @@ def import_logs(
     if settings.intervals and (settings.split or settings.every is not None):
         raise InputError("--cut and --split-at-rests or --split-every exclude each other: choose one")
     paths, other_files = find_logs(logs)
-    folder = Path(out)
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"--out {folder}: is a file, but must be a folder")
+    folder = output_folder(out)
     existing = (
         {run_name(p) for p in folder.iterdir() if p.name.endswith(SUFFIXES)} if folder.exists() else set()
     )

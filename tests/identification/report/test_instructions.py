@@ -33,7 +33,7 @@ def test_the_proposed_experiment_names_what_is_commanded(
     saved = load_result(tmp_path)
     machine = saved.machine.replace(drives=(dataclasses.replace(saved.machine.drives[0], **change),))
     steps = next_steps(dataclasses.replace(saved, machine=machine), tmp_path, [], ["run_2"])
-    assert any(f"Apply the {commands} of " in step["text"] for step in steps)
+    assert any(f"Apply the {commands} of " in step.text for step in steps)
 
 
 @pytest.mark.parametrize(
@@ -55,8 +55,8 @@ def test_the_run_to_record_follows_from_the_dependence(
     saved = load_result(tmp_path)
     saved.report.residual.depends_on[0].variable = variable
     (step,) = next_steps(saved, tmp_path, (), ["run_2"])
-    assert text in step["text"]
-    assert step["command"].startswith("hframe identify RUNS --machine")
+    assert text in step.text
+    assert step.command.startswith("hframe identify RUNS --machine")
 
 
 def test_a_counter_of_pulses_is_replaced_and_undeclared_friction_declared(
@@ -70,8 +70,8 @@ def test_a_counter_of_pulses_is_replaced_and_undeclared_friction_declared(
         UndeclaredFriction(parameter="x.coulomb", value=3.0, std=None, unit="N", percent_of_drives=None)
     ]
     sensor, friction = next_steps(saved, tmp_path, (), ["run_2"])
-    assert "Add a sensor that shows the direction" in sensor["text"]
-    assert friction["text"] == "Declare the friction in declared.json: x.coulomb 3 N."
+    assert "Add a sensor that shows the direction" in sensor.text
+    assert friction.text == "Declare the friction in declared.json: x.coulomb 3 N."
 
 
 def test_the_steps_name_what_to_measure_and_a_controller_with_its_period(
@@ -83,17 +83,16 @@ def test_the_steps_name_what_to_measure_and_a_controller_with_its_period(
     saved.report.not_separable = [NotSeparable(parameters=["x.viscous", "motor.Ke"], determined=[determined])]
     saved.report.left = 1.0
     control, measure, findings = next_steps(saved, tmp_path, (), ["run_2"])
-    assert "determine motor.Ke (take it from the data sheet of the motor, or turn" in measure["text"]
-    assert "determine only x.viscous + 5 motor.Ke." in measure["text"]
+    assert "determine motor.Ke (take it from the data sheet of the motor, or turn" in measure.text
+    assert "determine only x.viscous + 5 motor.Ke." in measure.text
     assert (
-        "on the refitted machine, pid first, with a control period of 10 ms. A textbook PID"
-        in control["text"]
+        "on the refitted machine, pid first, with a control period of 10 ms. A textbook PID" in control.text
     )
-    assert control["command"].startswith("hframe evaluate pid")
-    assert "Read the findings about the recordings (1)" in findings["text"]
+    assert control.command.startswith("hframe evaluate pid")
+    assert "Read the findings about the recordings (1)" in findings.text
     saved.report.left = 3205.0
     assert any(
-        "Look at run_2, the run with the largest error" in s["text"]
+        "Look at run_2, the run with the largest error" in s.text
         for s in next_steps(saved, tmp_path, (), ["run_2"])
     )
 
@@ -109,4 +108,4 @@ def test_the_period_of_a_textbook_controller_is_the_longest_one_that_is_stable(
     (step,) = next_steps(saved, tmp_path, (), ["run_2"])
     expected = {0.01: "is stable at this period as well", 0.005: "needs 5 ms or less", 0.002: "needs 2 ms or less",
                 0.001: "needs 1 ms or less", 0.0005: "needs 0.5 ms or less"}  # fmt: skip
-    assert f"A textbook PID {expected[periods[0]]}." in step["text"]
+    assert f"A textbook PID {expected[periods[0]]}." in step.text

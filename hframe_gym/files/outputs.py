@@ -1,0 +1,47 @@
+"""Files that belong together: the folder for them, and their contents on the way from a worker process to it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TypeVar
+
+from ..errors import InputError
+from .atomic import atomic_file, output_batch, scratch_folder
+
+Result = TypeVar("Result")
+
+
+def output_folder(path: str | Path) -> Path:
+    """Return the value of the option --out, a folder that need not exist yet; an InputError refuses a file."""
+    folder = Path(path)
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"--out {folder}: is a file, but must be a folder")
+    return folder
+
+
+def files_of(write: Callable[[Path], Result]) -> tuple[Result, dict[str, bytes]]:
+    """Run a function that writes files to an empty folder; return its result, and the files by relative path.
+
+    A worker process, which must not write to the folders of its caller, returns its files in this way; the calling
+    process writes them with `write_files`.
+    """
+    with scratch_folder() as scratch:
+        folder = scratch / "files"  # the scratch folder itself is locked
+        folder.mkdir()
+        result = write(folder)
+        paths = sorted(path for path in folder.rglob("*") if path.is_file())
+        return result, {str(path.relative_to(folder)): path.read_bytes() for path in paths}
+
+
+def write_files(folder: str | Path, files: Mapping[str, bytes]) -> None:
+    """Write files, by relative path, to a folder; they appear together, or none of them.
+
+    Raises:
+        InputError: If another process writes to the folder.
+        OSError: If the folder cannot be written, or the disk is full.
+    """
+    with output_batch(folder):
+        for name, content in files.items():
+            with atomic_file(Path(folder) / name) as file:
+                file.write(content)
