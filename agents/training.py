@@ -61,15 +61,16 @@ def train(
     algorithm: str | Recipe,
     machine: str | Path | Machine = "hframe",
     task: str = "reach",
+    *,
     steps: int | None = None,
     seed: int = 0,
-    resume: bool = False,
-    out: str | Path = "agent",
-    log: Log = print,
-    progress: Progress = lambda done, total: None,
     randomize: str | None = None,
+    out: str | Path = "agent",
+    resume: bool = False,
     trust: bool = False,
     force: bool = False,
+    log: Log = print,
+    progress: Progress = lambda done, total: None,
 ) -> dict[str, Any]:
     """Train an agent by a recipe (settings of a training run) and write its version with the best scores to a folder.
 
@@ -84,15 +85,15 @@ def train(
         steps: Environment steps in total, including those before a resume; the last rollout is completed. Default: the
             recipe's.
         seed: Seed of the network, the episodes and the algorithm, not negative.
-        resume: Continue from the checkpoint in `out`.
-        out: Folder for the agent and the checkpoint.
-        log: Function that receives one line of text after each evaluation.
-        progress: Function that receives the number of environment steps done and the total, after each step.
         randomize: Randomization of the machine's parameters in place of the recipe's, for example "identified" for a
             machine.json with standard deviations.
+        out: Folder for the agent and the checkpoint.
+        resume: Continue from the checkpoint in `out`.
         trust: Resume also from a checkpoint that this installation did not write. Loading it executes code that it may
             contain.
         force: Replace an agent or checkpoint that `out` holds. Without it and `resume`, such a folder is refused.
+        log: Function that receives one line of text after each evaluation.
+        progress: Function that receives the number of environment steps done and the total, after each step.
 
     Returns:
         Contents of card.json: recipe, package versions and learning curve (`curve`, one row of scores per evaluation).

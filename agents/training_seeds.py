@@ -22,17 +22,17 @@ def train_seeds(
     algorithm: str | Recipe,
     machine: str | Path | Machine = "hframe",
     task: str = "reach",
+    *,
     steps: int | None = None,
     seeds: Sequence[int] = (0, 1, 2),
+    randomize: str | None = None,
     out: str | Path = "agents",
+    force: bool = False,
     log: Log = print,
     progress: Progress = lambda done, total: None,
-    randomize: str | None = None,
-    *,
     jobs: int = 1,
     ray: str | None = None,
     show_curves: bool = True,
-    force: bool = False,
 ) -> dict[int, dict[str, Any]]:
     """Train one agent per seed, several at a time; each equals, bit for bit, the agent that `train` gives.
 
@@ -109,6 +109,6 @@ def _train_in_worker(
             print(f"seed {seed}: {line}", flush=True)
 
     def run(folder: Path) -> dict[str, Any]:
-        return train(recipe, machine, task, steps, seed, out=folder, log=log, randomize=randomize)
+        return train(recipe, machine, task, steps=steps, seed=seed, randomize=randomize, out=folder, log=log)
 
     return files_of(run)

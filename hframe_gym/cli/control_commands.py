@@ -103,7 +103,18 @@ def train(
             bar.update(bar_task, completed=done, total=total)
 
         run_training(
-            algorithm, declared, task, steps, seeds[0], resume, out, log, progress, randomize, trust, force
+            algorithm,
+            declared,
+            task,
+            steps=steps,
+            seed=seeds[0],
+            randomize=randomize,
+            out=out,
+            resume=resume,
+            trust=trust,
+            force=force,
+            log=log,
+            progress=progress,
         )
     options = option_words(machine=machine, task=task, randomize=randomize, out=str(out / "scores"))
     controller = "set-point" if declared.drive_laws else "pid"

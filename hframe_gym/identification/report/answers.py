@@ -15,7 +15,7 @@ from ...web_page import number
 from ..fit.parameter_diagnostics import parameter_doubts
 from ..judge.criteria import SelectionCriteria
 from ..judge.table import is_better_than_table
-from .curves import channel_noise, run_ratio
+from .curves import run_ratio
 from .document import STAGES, Evaluation, Report
 from .saved_result import SavedResult
 from .units import readable_unit
@@ -195,13 +195,12 @@ def _left_at_belts(saved: SavedResult) -> list[str]:
 def _worst_run(saved: SavedResult, runs: Sequence[str]) -> list[str]:
     """Return the held-out run with the largest error, with the channel and the time of its largest deviation."""
     report, curves = saved.report, saved.curves
-    channels, run = list(saved.machine.output_channels), runs[0]
-    ratios = {name: run_ratio(report, curves, name, channels) for name in runs}
+    ratios, run = {name: run_ratio(report, curves, name) for name in runs}, runs[0]
     if (worst := ratios[run]) is None:
         return [f"Nothing was measured in {run}."]
     if not math.isfinite(worst):
         return [f"{run}, in which the simulation diverges."]
-    text = f"{run}: {number(worst)} times the noise{_largest_deviation(report, curves, run, channels)}."
+    text = f"{run}: {number(worst)} times the noise{_largest_deviation(report, curves, run)}."
     others = [ratio for name in runs[1:] if (ratio := ratios[name]) is not None]
     if others:
         best = number(min(others))
@@ -210,20 +209,21 @@ def _worst_run(saved: SavedResult, runs: Sequence[str]) -> list[str]:
     return [text]
 
 
-def _largest_deviation(report: Report, curves: Mapping[str, Array], run: str, channels: Sequence[str]) -> str:
+def _largest_deviation(report: Report, curves: Mapping[str, Array], run: str) -> str:
     """Return a clause about the largest deviation, of the channel that deviates most in multiples of its noise."""
     time_s, errors = curves[f"{run}/time_s"], np.abs(np.nan_to_num(curves[f"{run}/after"]))
     sizes = [
-        float(errors[:, j].max()) / noise if (noise := channel_noise(report, channel)) else 0.0
-        for j, channel in enumerate(channels)
+        float(errors[:, j].max()) / noise if (noise := report.noise_of(channel)) else 0.0
+        for j, channel in enumerate(report.channels)
     ]
     if not any(sizes):
         return ""
     j = int(np.argmax(sizes))
     row = int(np.argmax(errors[:, j]))
-    factor, unit = readable_unit(channels[j], float(errors[row, j]))
+    channel = report.channels[j]
+    factor, unit = readable_unit(channel, float(errors[row, j]))
     size, after_s = factor * float(errors[row, j]), time_s[row] - time_s[0]
-    return f", up to {number(size)} {unit} at {channels[j]} after {after_s:.3g} s"
+    return f", up to {number(size)} {unit} at {channel} after {after_s:.3g} s"
 
 
 def tone_of_remainder(report: Report) -> Literal["good", "neutral", "warning"]:

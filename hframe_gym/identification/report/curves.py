@@ -33,28 +33,10 @@ def _drawn_machines(report: Report, curves: Mapping[str, Array]) -> dict[str, st
     return {key: label for key, label in compared_machines(report).items() if f"{run}/{key}" in curves}
 
 
-def channel_noise(report: Report, channel: str) -> float | None:
-    """Return the standard deviation of a sensor's noise in the unit of its channel.
-
-    Args:
-        report: Content of report.json.
-        channel: Name of the output channel.
-
-    Returns:
-        Standard deviation, m, rad or the unit of another quantity; None if every machine diverges or it is not known.
-    """
-    for stage in ("after", "before", "declared"):
-        error = report.machines[stage].channels[channel]
-        if error.rmse and error.noise_ratio:
-            return error.rmse / error.noise_ratio
-    return None
-
-
 def run_ratio(
     report: Report,
     curves: Mapping[str, Array],
     run: str,
-    channels: Sequence[str],
     stage: str = "after",
 ) -> float | None:
     """Return the simulation error of a held-out run over the sensors' noise, root mean square over the channels.
@@ -63,7 +45,6 @@ def run_ratio(
         report: Content of report.json.
         curves: Curves by name, SI, shape (n,) or (n, sensors); see `plot_data`.
         run: Name of the run.
-        channels: Names of the output channels.
         stage: Machine: "declared", "before", "after" or "plain".
 
     Returns:
@@ -71,30 +52,29 @@ def run_ratio(
     """
     measured, errors = curves[f"{run}/measured"], curves[f"{run}/{stage}"]
     squares = []
-    for j, channel in enumerate(channels):
+    for j, channel in enumerate(report.channels):
         error = errors[:, j][np.isfinite(errors[:, j])]
         if not len(error):
             if np.isfinite(measured[:, j]).any():
                 return math.inf
             continue
-        if noise := channel_noise(report, channel):
+        if noise := report.noise_of(channel):
             squares.append(float(np.mean(error**2)) / noise**2)
     return math.sqrt(sum(squares) / len(squares)) if squares else None
 
 
-def worst_first(report: Report, curves: Mapping[str, Array], channels: Sequence[str]) -> list[str]:
+def worst_first(report: Report, curves: Mapping[str, Array]) -> list[str]:
     """Return the names of the held-out runs by decreasing error of the delivered machine.
 
     Args:
         report: Content of report.json.
         curves: Curves by name, SI, shape (n,) or (n, sensors); see `plot_data`.
-        channels: Names of the output channels.
     """
-    ratios = {run: run_ratio(report, curves, run, channels) for run in report.runs.held_out}
+    ratios = {run: run_ratio(report, curves, run) for run in report.runs.held_out}
     return sorted(ratios, key=lambda run: -(ratios[run] or 0.0))
 
 
-def page_curves(report: Report, curves: Mapping[str, Array], channels: Sequence[str]) -> dict[str, Any]:
+def page_curves(report: Report, curves: Mapping[str, Array]) -> dict[str, Any]:
     """Return what the script of the page draws, as content of a JSON document.
 
     Every run and channel has one set of rows for all its curves: the first of each interval of time, and those with the
@@ -104,7 +84,6 @@ def page_curves(report: Report, curves: Mapping[str, Array], channels: Sequence[
     Args:
         report: Content of report.json.
         curves: Curves by name, SI, shape (n,) or (n, sensors); see `plot_data`.
-        channels: Names of the output channels.
 
     Returns:
         "machines": "key", "label" and "color" of each machine, and whether it is "shown" at first. "runs": worst first,
@@ -114,10 +93,10 @@ def page_curves(report: Report, curves: Mapping[str, Array], channels: Sequence[
         machine.
     """
     machines = _drawn_machines(report, curves)
-    runs = worst_first(report, curves, channels)
-    count = max(1, len(runs) * len(channels) * (2 + len(machines)))
+    runs = worst_first(report, curves)
+    count = max(1, len(runs) * len(report.channels) * (2 + len(machines)))
     rows = int(np.clip(_MAX_BYTES / (_BYTES_PER_VALUE * count), _MIN_ROWS, _MAX_ROWS))
-    far = _far(report, curves, runs, channels)
+    far = _far(report, curves, runs[0])
     return {
         "machines": [
             {"key": key, "label": label, "color": _COLORS[key], "shown": key not in far}
@@ -126,10 +105,10 @@ def page_curves(report: Report, curves: Mapping[str, Array], channels: Sequence[
         "runs": [
             {
                 "name": run,
-                "label": _run_label(run_ratio(report, curves, run, channels), run),
+                "label": _run_label(run_ratio(report, curves, run), run),
                 "channels": [
                     _channel_curves(report, curves, run, channel, j, list(machines), far, rows)
-                    for j, channel in enumerate(channels)
+                    for j, channel in enumerate(report.channels)
                     if np.isfinite(curves[f"{run}/measured"][:, j]).any()
                 ],
             }
@@ -138,13 +117,9 @@ def page_curves(report: Report, curves: Mapping[str, Array], channels: Sequence[
     }
 
 
-def _far(
-    report: Report, curves: Mapping[str, Array], runs: Sequence[str], channels: Sequence[str]
-) -> set[str]:
-    """Return the machines whose errors on the worst run are so large that those of the others would look like zero."""
-    ratios = {
-        key: run_ratio(report, curves, runs[0], channels, key) for key in _drawn_machines(report, curves)
-    }
+def _far(report: Report, curves: Mapping[str, Array], run: str) -> set[str]:
+    """Return the machines beside whose errors on a run, the worst one, those of the others would look like zero."""
+    ratios = {key: run_ratio(report, curves, run, key) for key in _drawn_machines(report, curves)}
     limit = _FAR * (ratios["before"] or math.inf)
     return {key for key in ("declared", "plain") if (ratios.get(key) or 0.0) > limit}
 
@@ -175,7 +150,7 @@ def _channel_curves(
         float(np.nanmax(np.abs(error), initial=0.0)) for key, error in errors.items() if key not in far
     )
     error_factor, error_unit = readable_unit(channel, largest)
-    noise = channel_noise(report, channel)
+    noise = report.noise_of(channel)
     return {
         "name": channel,
         "quantity": channel.rpartition("_")[0] or channel,

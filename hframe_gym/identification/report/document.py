@@ -305,6 +305,22 @@ class Report(Entry):
         machines = {stage: getattr(self, stage) for stage in STAGES}
         return machines | ({"plain": self.plain} if self.plain else {})
 
+    @property
+    def channels(self) -> list[str]:
+        """Names of the output channels, in the order of the machine."""
+        return list(self.declared.channels)
+
+    def noise_of(self, channel: str) -> float | None:
+        """Return the standard deviation of a sensor's noise, in the unit of its channel; None if it is not known.
+
+        It is not known if every machine diverges.
+        """
+        for stage in reversed(STAGES):
+            error = self.machines[stage].channels[channel]
+            if error.rmse and error.noise_ratio:
+                return error.rmse / error.noise_ratio
+        return None
+
 
 def compared_machines(report: Report) -> dict[str, str]:
     """Return the machines that the report compares, with their labels, in the order in which they are shown.

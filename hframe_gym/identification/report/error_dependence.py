@@ -13,7 +13,6 @@ from ...machine import Machine
 from ...recordings import split_unit
 from ...web_page import Panel, color, number
 from .correlations import CONFIDENCE
-from .curves import channel_noise
 from .document import Report
 from .units import readable_unit
 
@@ -38,7 +37,7 @@ def error_panels(report: Report, curves: Mapping[str, Array], machine: Machine) 
     """
     panels = []
     of_position = {sensor.channel: sensor.of_position for sensor in machine.sensors}
-    for j, channel in enumerate(machine.output_channels):
+    for j, channel in enumerate(report.channels):
         runs = [
             (curves[f"{run}/time_s"], curves[f"{run}/measured"][:, j], curves[f"{run}/after"][:, j])
             for run in report.runs.held_out
@@ -47,7 +46,7 @@ def error_panels(report: Report, curves: Mapping[str, Array], machine: Machine) 
         values = {"": np.concatenate([measured for _, measured, _ in runs])}
         if of_position[channel]:
             values["speed of "] = np.concatenate([_speed(time_s, measured) for time_s, measured, _ in runs])
-        noise = channel_noise(report, channel)
+        noise = report.noise_of(channel)
         for prefix, against in values.items():
             if panel := _panel(channel, prefix, against, errors, noise):
                 panels.append(panel)

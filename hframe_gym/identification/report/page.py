@@ -18,7 +18,7 @@ from ..fit.inseparable_parameters import sum_text
 from ..fit.parameter_diagnostics import parameter_doubts
 from .answers import answers, drifts, largest_position_error, percent, tone_of_remainder
 from .correlations import error_correlations
-from .curves import channel_noise, page_curves, worst_first
+from .curves import page_curves, worst_first
 from .document import ChannelErrors, Report, compared_machines
 from .instructions import next_steps
 from .plots import report_panels, save_plots, slow_fractions
@@ -56,9 +56,8 @@ def build_report(folder: Path, final_folder: Path | None = None) -> Path:
     """
     saved = load_result(folder)
     report, machine, curves = saved.report, saved.machine, saved.curves
-    channels = list(machine.output_channels)
     tone = tone_of_remainder(report)
-    runs = worst_first(report, curves, channels)
+    runs = worst_first(report, curves)
     panels = report_panels(report, curves, machine, saved.declared, runs)
     effects = _effect_rows(report, machine)
     steps = next_steps(saved, final_folder or folder, effects, runs)
@@ -70,19 +69,19 @@ def build_report(folder: Path, final_folder: Path | None = None) -> Path:
         "tone": tone,
         "answers": answers(saved, effects, runs, steps[0].text),
         "tiles": _tiles(report),
-        "channels": [_channel_row(report, c) for c in channels],
+        "channels": [_channel_row(report, channel) for channel in report.channels],
         "force": _force_row(report),
         "plain": _plain_sentence(report),
         "machines": compared_machines(report),
         "pair": _pair(report),
-        "runs": [_run_row(report, curves, channels, run) for run in runs],
-        "curves": page_curves(report, curves, channels),
+        "runs": [_run_row(report, curves, run) for run in runs],
+        "curves": page_curves(report, curves),
         "effects": effects,
         "parameters": _parameter_rows(machine, saved.declared),
         "correlations": _correlation_rows(machine),
         "determined": _determined_sums(report, machine),
         "whiteness": [
-            {"run": run, "channels": error_correlations(curves, run, channels, machine.input_channels)}
+            {"run": run, "channels": error_correlations(curves, run, report.channels, machine.input_channels)}
             for run in runs
         ],
         "steps": steps,
@@ -170,11 +169,11 @@ def _plain_sentence(report: Report) -> str:
     return f"The plain fit has inertia and friction from the recordings alone{beside}, and no effects.{delivered}"
 
 
-def _run_row(report: Report, curves: Mapping[str, Array], channels: list[str], run: str) -> dict[str, Any]:
+def _run_row(report: Report, curves: Mapping[str, Array], run: str) -> dict[str, Any]:
     """Return the errors of one held-out run before and after, by channel in units of the noise."""
 
     def ratio(stage: str, j: int) -> str:
-        noise = channel_noise(report, channels[j])
+        noise = report.noise_of(report.channels[j])
         residual = curves[f"{run}/{stage}"][:, j]
         residual = residual[np.isfinite(residual)]
         if noise is None or len(residual) == 0:
@@ -183,7 +182,7 @@ def _run_row(report: Report, curves: Mapping[str, Array], channels: list[str], r
 
     return {
         "name": run,
-        "errors": [f"{ratio('before', j)} → {ratio('after', j)}" for j in range(len(channels))],
+        "errors": [f"{ratio('before', j)} → {ratio('after', j)}" for j in range(len(report.channels))],
     }
 
 

@@ -62,24 +62,23 @@ def report_panels(
         over its own variable), tables, coverage. The list of a plot without data, such as tables of a machine without
         tables, is empty.
     """
-    channels = list(machine.output_channels)
     present = {effect.label for effect in declared.effects}
     added = [effect for effect in machine.effects if effect.label not in present]
     effect_curves = (effect_curve(effect, machine, curves) for effect in added)
     worst = (list(runs) or report.runs.held_out)[0]
     return {
-        "error_by_channel": [_error_by_channel(report, channels)],
+        "error_by_channel": [_error_by_channel(report)],
         "error_over_time": [
             _error_over_time(curves, run, channel, j, _compared_stages(report))
             for run in list(runs or report.runs.held_out)[:_MAX_RUNS]
-            for j, channel in enumerate(channels)
+            for j, channel in enumerate(report.channels)
             if np.isfinite(curves[f"{run}/measured"][:, j]).any()
         ],
         "residual_force": [_residual_force(report, curves, machine)] if "force/variable" in curves else [],
         "error_over_motion": error_panels(report, curves, machine),
         "correlations": [
             correlations.panel()
-            for correlations in error_correlations(curves, worst, channels, machine.input_channels)
+            for correlations in error_correlations(curves, worst, report.channels, machine.input_channels)
         ],
         "effects": [curve.panel() for curve in effect_curves if curve],
         "tables": [_table(e, machine) for e in added if e.definition.family == TABLE_FAMILY],
@@ -118,8 +117,9 @@ def save_plots(panels: Panels, folder: Path) -> list[Path]:
     return written
 
 
-def _error_by_channel(report: Report, channels: list[str]) -> Panel:
+def _error_by_channel(report: Report) -> Panel:
     """Draw the error of each channel in multiples of the noise, for each machine."""
+    channels = report.channels
     stages = {key: label for key, label in compared_machines(report).items() if key != "plain"}
     ratios = {
         stage: [report.machines[stage].channels[c].noise_ratio or np.nan for c in channels]

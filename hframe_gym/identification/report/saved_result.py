@@ -168,6 +168,8 @@ def _check_report(saved: SavedResult, path: Path) -> None:
             raise _damaged(path, "force_error is given for some of declared, before and after only")
         if has_force and evaluation.force_error is None:
             raise _damaged(path, f"{stage}.held_out.force_error is not a number")
+    if saved.report.channels != list(channels):
+        raise _damaged(path, "declared.held_out has other channels than machine.json, or in another order")
     labels = {e.label for e in machine.effects}
     for effect in saved.report.effects:
         if f"{effect.name}@{effect.site}" not in labels:

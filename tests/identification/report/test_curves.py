@@ -10,7 +10,7 @@ import pytest
 
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset
-from hframe_gym.identification.report.curves import channel_noise, page_curves, worst_first
+from hframe_gym.identification.report.curves import page_curves, worst_first
 from hframe_gym.identification.report.document import Plain
 from hframe_gym.identification.report.effect_curves import effect_curve
 from hframe_gym.identification.report.plot_data import plot_data
@@ -23,7 +23,7 @@ from tests.identification.single_axis import AXIS, PRESLIDING
 def test_curves_of_the_page_are_those_of_the_machines_worst_run_first(data: Dataset) -> None:
     result = result_of(data, "effect_found", STRIBECK)
     report, curves = result.as_report(), plot_data(result)
-    noise = channel_noise(report, "x_m")
+    noise = report.noise_of("x_m")
     assert noise is not None
     for name, factor in (("run_8", 1.0), ("run_9", 3.0)):  # two more runs, the second of which is the worst
         curves |= {
@@ -31,14 +31,14 @@ def test_curves_of_the_page_are_those_of_the_machines_worst_run_first(data: Data
         }
         curves[f"{name}/after"] = factor * noise * np.ones((500, 1))
     report.runs.held_out = ["run_8", "run_9"]
-    drawn = page_curves(report, curves, ["x_m"])
+    drawn = page_curves(report, curves)
     assert [run["label"] for run in drawn["runs"]] == ["run_9: 3 × noise", "run_8: 1 × noise"]
     assert [machine["key"] for machine in drawn["machines"]] == ["declared", "before", "after"]
     (channel,) = drawn["runs"][0]["channels"]
     error = np.frombuffer(base64.b64decode(channel["errors"]["before"]), "<f4")
     assert error == pytest.approx(curves["run_9/before"][:, 0], rel=1e-6)
     curves["run_8/after"] = np.full((500, 1), np.nan)  # diverges
-    assert worst_first(report, curves, ["x_m"]) == ["run_8", "run_9"]
+    assert worst_first(report, curves) == ["run_8", "run_9"]
 
 
 def test_a_long_curve_keeps_its_peaks_and_the_page_stays_small(data: Dataset) -> None:
@@ -50,7 +50,7 @@ def test_a_long_curve_keeps_its_peaks_and_the_page_stays_small(data: Dataset) ->
     errors[54_321] = 7e-3
     values = dict.fromkeys(("measured", "declared", "before", "after", "plain"), errors) | {"time_s": time_s}
     curves = {f"{run}/{key}": value for run in report.runs.held_out for key, value in values.items()}
-    drawn = page_curves(report, curves, ["x_m"])
+    drawn = page_curves(report, curves)
     assert [machine["label"] for machine in drawn["machines"]] == [
         "as declared",
         "plain fit",

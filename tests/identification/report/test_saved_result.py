@@ -130,6 +130,10 @@ DAMAGES: dict[str, tuple[Damage, str]] = {
         lambda f: (f / "report.json").write_bytes(b"\xff\xfe\x00"),
         "report.json: is not a text file",
     ),
+    "another channel": (
+        with_report("declared", "held_out", "y_m", value={"rmse": 1e-5, "noise_ratio": 1.0}),
+        "report.json: declared.held_out has other channels",
+    ),
     "other schema": (with_report("schema", value=2), "report.json: schema: "),
     "unknown verdict": (with_report("verdict", value="perhaps"), "report.json: verdict: "),
     "no verdict": (with_report("verdict", remove=True), "report.json: verdict: "),
