@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -9,9 +10,15 @@ import pytest
 from hframe_gym.agents import train
 
 
-@pytest.fixture
-def untrained_agent(tmp_path: Path) -> Path:
-    """Return the folder of a PPO agent after its first rollout on the built-in machine."""
-    folder = tmp_path / "untrained"
+@pytest.fixture(scope="session")
+def trained_one_step(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of a PPO agent after its first rollout on the built-in machine; tests change copies of it."""
+    folder = tmp_path_factory.mktemp("agents") / "untrained"
     train("ppo", steps=1, out=folder, log=lambda line: None)
     return folder
+
+
+@pytest.fixture
+def untrained_agent(trained_one_step: Path, tmp_path: Path) -> Path:
+    """Return a copy of the folder of an agent after its first rollout."""
+    return Path(shutil.copytree(trained_one_step, tmp_path / "untrained"))

@@ -26,18 +26,36 @@ from hframe_gym.machine import BUILTIN_MACHINES
 pytestmark = pytest.mark.train
 
 EPISODES = 32  # of an evaluation; enough here and faster than the 256 of a real run
+SHORT_S = 0.2  # length of an episode of an evaluation: enough to compare scores, not to arrive
 
 
 @pytest.fixture(autouse=True)
 def short_evaluations(monkeypatch):
-    """Evaluate on fewer episodes."""
+    """Evaluate on fewer and shorter episodes."""
     monkeypatch.setattr("hframe_gym.agents.training.EVALUATION_EPISODES", EPISODES)
+    monkeypatch.setattr("hframe_gym.agents.training.Scenario", partial(Scenario, duration_s=SHORT_S))
+
+
+@pytest.fixture
+def whole_motions(monkeypatch, short_evaluations):
+    """Let the motions of evaluations arrive, as in a real run; evaluate half as often."""
+    monkeypatch.setattr("hframe_gym.agents.training.Scenario", Scenario)
+    monkeypatch.setattr("hframe_gym.agents.training.EVALUATIONS_PER_RUN", 6)
+
+
+def small(algorithm, **keywords):
+    """Return a recipe for reach with few environments, few samples in memory and other keywords of its algorithm."""
+    recipe = load_recipe(algorithm, "reach")
+    few = {"n_steps": 16, "batch_size": 64} if "n_steps" in recipe.algorithm else {}
+    few |= {"buffer_size": 4_000} if "buffer_size" in recipe.algorithm else {}
+    return replace(recipe, env=recipe.env | {"num_envs": 16}, algorithm=recipe.algorithm | few | keywords)
 
 
 def ignore(line):
     """Discard a line of the log."""
 
 
+@pytest.mark.usefixtures("whole_motions")
 def test_ppo_learns_and_the_best_agent_of_the_curve_is_saved(tmp_path):
     lines = []
     card = train("ppo", steps=200_000, out=tmp_path, log=lines.append)
@@ -53,6 +71,7 @@ def test_ppo_learns_and_the_best_agent_of_the_curve_is_saved(tmp_path):
     assert score_agent(Agent.load(tmp_path), scenario).row.items() <= kept.items()
 
 
+@pytest.mark.usefixtures("whole_motions")
 @pytest.mark.parametrize("recipe", ["adapt", "adapt_mix"])
 def test_adapt_starts_from_the_shipped_agent_with_the_given_randomization(tmp_path, recipe):
     machine = BUILTIN_MACHINES["hframe"]()
@@ -66,7 +85,8 @@ def test_agents_are_scored_with_the_sensors_drives_and_randomization_of_the_reci
     recipe = load_recipe("residual", "reach")
     recipe = replace(recipe, env={"sensors": "rig", "drives": "rig", "num_envs": 32})
     card = train(recipe, steps=0, out=tmp_path, log=ignore)
-    ideal = Scenario(randomize="none", episodes=EPISODES, seed=1_000_000)
+    task = Reach(**recipe.task)
+    ideal = Scenario(task=task, randomize="none", episodes=EPISODES, seed=1_000_000, duration_s=SHORT_S)
     agent, row = Agent.load(tmp_path), card["curve"][0]
     assert score_agent(agent, replace(ideal, sensors="rig", drives="rig")).row.items() <= row.items()
     for other in (
@@ -81,7 +101,7 @@ def test_agents_are_scored_with_the_sensors_drives_and_randomization_of_the_reci
 def test_the_same_seed_gives_the_same_agent(tmp_path):
     weights = []
     for name in ("a", "b"):
-        train("residual", steps=4096, seed=3, out=tmp_path / name, log=ignore)
+        train(small("residual"), steps=512, seed=3, out=tmp_path / name, log=ignore)
         weights.append((tmp_path / name / "policy.safetensors").read_bytes())
     assert weights[0] == weights[1]
 
@@ -99,7 +119,7 @@ def test_a_residual_policy_starts_as_its_base_controller(tmp_path, task):
 
 
 def test_a_residual_policy_changes_the_action_by_its_authority_at_most(tmp_path):
-    train("residual", steps=4096, out=tmp_path, log=ignore)
+    train(small("residual"), steps=256, out=tmp_path, log=ignore)
     agent = Agent.load(tmp_path)
     agent.policy.action_net.bias.data.fill_(100.0)  # far beyond the limit of the output
     base = CONTROLLERS.get("adaptive-pid")(BUILTIN_MACHINES["hframe"](), 0.01)
@@ -114,9 +134,19 @@ def learning_curve(folder):
     return json.loads(card.read_text())["curve"] if card.exists() else []
 
 
+# Begins a run of many short evaluations.
+_LONG_RUN = f"""
+import sys
+from functools import partial
+from hframe_gym.agents import train, training
+training.EVALUATION_EPISODES, training.EVALUATIONS_PER_RUN = {EPISODES}, 60
+training.Scenario = partial(training.Scenario, duration_s={SHORT_S})
+train('sac', steps=200_000, out=sys.argv[1], log=lambda line: None)
+"""
+
+
 def test_a_killed_run_resumes_from_its_checkpoint(tmp_path):
-    code = "import sys; from hframe_gym.agents import train; train('sac', steps=60_000, out=sys.argv[1])"
-    with subprocess.Popen([sys.executable, "-c", code, str(tmp_path)], stdout=subprocess.DEVNULL) as process:
+    with subprocess.Popen([sys.executable, "-c", _LONG_RUN, str(tmp_path)]) as process:
         deadline = time.monotonic() + 240.0
         while len(learning_curve(tmp_path)) < 2 and time.monotonic() < deadline and process.poll() is None:
             time.sleep(0.05)
@@ -138,24 +168,26 @@ class _Killed(BaseException):
 @pytest.mark.parametrize(
     ("algorithm", "steps"),
     [
-        ("ppo", 14_000),
-        ("sac_mix", 6_400),
-        pytest.param("crossq", 6_400, marks=pytest.mark.slow),
-        pytest.param("tqc", 6_400, marks=pytest.mark.slow),
+        ("ppo", 1_500),
+        ("sac_mix", 1_600),
+        pytest.param("crossq", 1_600, marks=pytest.mark.slow),
+        pytest.param("tqc", 1_600, marks=pytest.mark.slow),
         pytest.param("sac_her", 6_400, marks=pytest.mark.slow),
-        pytest.param("residual", 18_000, marks=pytest.mark.slow),
+        pytest.param("residual", 1_500, marks=pytest.mark.slow),
     ],
 )
-def test_a_resumed_run_equals_an_unbroken_one_to_the_bit(tmp_path, algorithm, steps):
+def test_a_resumed_run_equals_an_unbroken_one_to_the_bit(tmp_path, monkeypatch, algorithm, steps):
+    monkeypatch.setattr("hframe_gym.agents.training.SHORTEST_INTERVAL", 500)
+
     def kill(done, total):
         if done > 0.7 * total:
             raise _Killed
 
     whole, broken = tmp_path / "whole", tmp_path / "broken"
     recipe = load_recipe(algorithm, "reach")
-    if "learning_starts" in recipe.algorithm and not recipe.hindsight:  # hindsight needs complete episodes
-        few_updates = {"learning_starts": 1_280, "gradient_steps": 2}
-        recipe = replace(recipe, algorithm={**recipe.algorithm, **few_updates})
+    if not recipe.hindsight:  # which needs complete episodes
+        few_updates = {"learning_starts": 320, "gradient_steps": 2}
+        recipe = small(algorithm, **few_updates if "learning_starts" in recipe.algorithm else {})
     train(recipe, steps=steps, seed=4, out=whole, log=ignore)
     with pytest.raises(_Killed):
         train(recipe, steps=steps, seed=4, out=broken, log=ignore, progress=kill)
@@ -283,8 +315,7 @@ def test_a_recipe_whose_transfers_a_short_axis_lacks_is_refused_before_training(
 
 @pytest.mark.parametrize("algorithm", ["apg_predictive", "ppo", "residual", "sac_her"])
 def test_the_recipes_that_this_message_names_train_on_one_axis(algorithm, tmp_path):
-    recipe = load_recipe(algorithm, "reach")
-    card = train(replace(recipe, steps=1), "axis", out=tmp_path, log=ignore)
+    card = train(replace(small(algorithm), steps=1), "axis", out=tmp_path, log=ignore)
     assert card["machine"] == "axis"
     assert Agent.load(tmp_path).machine.name == "axis"
 
@@ -361,5 +392,5 @@ def test_exploration_that_depends_on_the_state_trains_and_loads(tmp_path, algori
         replace(recipe, env=recipe.env | small, algorithm=keywords), steps=600, out=tmp_path, log=ignore
     )
     kept = next(row for row in card["curve"] if row["steps"] == card["kept"])
-    scenario = Scenario(randomize="default", episodes=EPISODES, seed=1_000_000)
+    scenario = Scenario(randomize="default", episodes=EPISODES, seed=1_000_000, duration_s=SHORT_S)
     assert score_agent(Agent.load(tmp_path), scenario).row.items() <= kept.items()
