@@ -32,10 +32,11 @@ from hframe_gym.effects.smooth_table import TABLE_FAMILY
 from hframe_gym.envs import TASKS, EnvConfig
 from hframe_gym.errors import InputError
 from hframe_gym.evaluation import file_labels
+from hframe_gym.exporters import EXPORTERS
 from hframe_gym.identification import simulate_recording
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import load_recording, machine_to_dict
-from hframe_gym.registry import load_plugins
+from hframe_gym.registry import Registry, load_plugins
 from tests.identification.report.axis_results import effect_entry, report_with
 
 pytestmark = pytest.mark.integration
@@ -647,6 +648,19 @@ def test_paragraphs_of_help_fill_the_terminal(
     for line, following in itertools.pairwise(prose):
         if line.strip() and following.strip():
             assert len(line.rstrip()) + len(following.split()[0]) > 150, line
+
+
+@pytest.mark.parametrize(("registry", "words"), [(TASKS, ("evaluate",)), (EXPORTERS, ("export",))])
+def test_help_lists_what_was_registered_since_the_last_call(
+    registry: Registry[Any], words: tuple[str, ...], hframe_command: Command
+) -> None:
+    assert "late-part" not in hframe_command(*words, "--help")[1]
+    registry.register("late-part")(registry.get(next(iter(registry))))
+    try:
+        assert "late-part" in hframe_command(*words, "--help")[1]
+    finally:
+        registry.unregister("late-part")
+    assert "late-part" not in hframe_command(*words, "--help")[1]
 
 
 @pytest.mark.parametrize(

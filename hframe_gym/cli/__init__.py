@@ -12,7 +12,8 @@ import os
 import sys
 import warnings
 from collections.abc import Callable
-from typing import Annotated
+from functools import cache
+from typing import Annotated, Any
 
 import typer
 from typer import Option
@@ -50,6 +51,12 @@ def options(
     """H-frame stages: simulate, identify from measured data, train and evaluate controllers."""
 
 
+@cache
+def _command() -> Any:
+    """Return the click command with all its subcommands, which Typer would build again (20 ms) for every call."""
+    return typer.main.get_command(app)
+
+
 def main(interrupted: Callable[[], bool] = lambda: False) -> None:
     """Run the `hframe` command; an exception is printed as one line.
 
@@ -68,7 +75,7 @@ def main(interrupted: Callable[[], bool] = lambda: False) -> None:
         warnings.showwarning = print_warning
         try:
             # Otherwise Typer prints its errors about options in a box of several lines.
-            code = app(sys.argv[1:] or ["--help"], standalone_mode=False)
+            code = _command()(sys.argv[1:] or ["--help"], standalone_mode=False)
         except typer.Abort:  # the user ended a question
             raise SystemExit(FAULT_FOUND) from None
         except Exception as error:

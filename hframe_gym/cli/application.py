@@ -130,8 +130,12 @@ class CommandWithChoices(Command):
     @override
     def format_help(self, ctx: Any, formatter: Any) -> None:
         """Write the help page, with the names of the registered tasks, controllers etc. for their placeholders."""
-        for parameter in self.params:
-            help_text = getattr(parameter, "help", None)
-            if help_text:
-                parameter.help = with_choices(help_text)  # type: ignore[attr-defined]
+        with_help = [parameter for parameter in self.params if getattr(parameter, "help", None)]
+        texts = [parameter.help for parameter in with_help]  # type: ignore[attr-defined]
+        for parameter, text in zip(with_help, texts, strict=True):
+            parameter.help = with_choices(text)  # type: ignore[attr-defined]
         super().format_help(ctx, formatter)
+        for parameter, text in zip(
+            with_help, texts, strict=True
+        ):  # other names may be registered at the next call
+            parameter.help = text  # type: ignore[attr-defined]

@@ -51,8 +51,9 @@ class ExportGroup(CommandGroup):
     @override
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Return the command of an exporter, None if there is no such exporter."""
-        if cmd_name not in self.commands and cmd_name in self.list_commands(ctx):
-            self.commands[cmd_name] = _command(cmd_name)
+        if cmd_name not in self.list_commands(ctx):
+            return None
+        self.commands[cmd_name] = _command(cmd_name)
         return super().get_command(ctx, cmd_name)
 
 
