@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from hframe_gym import operating_system
-from hframe_gym.operating_system import cores, quoted, user_folder
+from hframe_gym.operating_system import cores, quoted, reused_memory, user_folder
 
 
 @pytest.mark.parametrize(
@@ -45,3 +46,25 @@ def test_cores_are_counted_by_what_the_system_offers(
     operating_system._cores.cache_clear()
     assert 1 <= cores() <= (os.cpu_count() or 1)
     operating_system._cores.cache_clear()
+
+
+def test_memory_of_freed_arrays_is_kept_only_meanwhile(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls: list[tuple[int, ...]] = []
+    library = SimpleNamespace(
+        mallopt=lambda *option: calls.append(option), malloc_trim=lambda *kept: calls.append(kept)
+    )
+    monkeypatch.setattr(operating_system.sys, "platform", "linux")
+    monkeypatch.setattr(operating_system.ctypes, "CDLL", lambda _: library)
+    with reused_memory():
+        kept = dict(calls)
+        calls.clear()
+    assert calls[-1] == (0,)  # returned
+    assert {option: size < kept[option] for option, size in calls[:-1]} == {-1: True, -3: True}
+
+
+@pytest.mark.parametrize("system", ["linux", "darwin", "win32"])
+def test_other_libraries_of_memory_are_left_as_they_are(monkeypatch: pytest.MonkeyPatch, system: str) -> None:
+    monkeypatch.setattr(operating_system.sys, "platform", system)
+    monkeypatch.setattr(operating_system.ctypes, "CDLL", lambda _: SimpleNamespace())
+    with reused_memory():
+        pass

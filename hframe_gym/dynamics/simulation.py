@@ -107,13 +107,17 @@ def simulate_batch(
     extra_force: Array | None = None,
     measured: Array | None = None,
     gains: Array | None = None,
+    offsets: Array | None = None,
     longest_step: float = LONGEST_STEP,
+    every: int = 1,
     states: bool = True,
     readings: bool = True,
     effects: bool = False,
     parallel: bool = True,
 ) -> Motion:
     """Simulate B machines that differ in parameter values only, over N samples; arguments are not checked.
+
+    Samples are where voltages may change. The rows of a recording are all samples, or fewer (`every`).
 
     Args:
         machine: One of the machines; it gives the equations of motion and the default parameters.
@@ -123,18 +127,21 @@ def simulate_batch(
         start: Positions (m, rad), then velocities (m/s, rad/s), at the first sample, shape (2 * coordinates,) or
             (B, 2 * coordinates); default: at rest at the origin. States of the effects (SI, in the order of the
             machine's effects) may follow in further columns; without them they are zero.
-        extra_force: External force, N or Nm, held until the next sample, shape (N, coordinates) or (B, N, coordinates).
-        measured: Measurements that correct the simulation (observer), in the sensors' units, shape (N, sensors) or
-            (B, N, sensors), NaN where not measured.
-        gains: Observer gains, SI, shape (2 * coordinates, sensors): at every sample gains @ (measured - reading) is
+        extra_force: External force, N or Nm, held until the next row, shape (rows, coordinates) or
+            (B, rows, coordinates).
+        measured: Measurements that correct the simulation (observer), in the sensors' units, shape (rows, sensors) or
+            (B, rows, sensors), NaN where not measured.
+        gains: Observer gains, SI, shape (2 * coordinates, sensors): in every row gains @ (measured - reading) is
             added to the positions (first rows) and velocities (last rows). None: no correction.
+        offsets: Added to the readings of each machine, in the sensors' units, shape (B, sensors). Default: 0.
         longest_step: Largest step of the integrator, s.
+        every: Samples from one row to the next; the first sample is a row.
         effects: Whether to return the states of effects, with positions and velocities. A motion goes on from its end
             if they follow the positions and velocities of the next `start`.
         parallel: Whether to distribute the machines over threads; False if the caller does so.
 
     Returns:
-        The motion, arrays of shape (B, N, ...), with NaN or large values where it diverges.
+        The motion in the rows, arrays of shape (B, rows, ...), with NaN or large values where it diverges.
     """
     count, radii = len(machine.coordinates), machine.travel_per_unit
     kernel = kernel_for(machine, forced=extra_force is not None)
@@ -146,17 +153,19 @@ def simulate_batch(
     first_states[:, : 2 * count] *= to_travel
     parameters = parameter_batch(machine) if parameters is None else parameters
     inputs, force, measurements = _series(inputs), _series(extra_force), _series(measured)
-    batch = max(map(len, (inputs, parameters, first_states, force, measurements)))
+    shifts = np.zeros((0, 0)) if offsets is None else _plain(offsets)
+    batch = max(map(len, (inputs, parameters, first_states, force, measurements, shifts)))
     first_states, parameters = _one_row_each(first_states, batch), _one_row_each(parameters, batch)
     time = _plain(time_s)
-    force = np.ascontiguousarray(force / radii) if len(force) else np.zeros((1, len(time), count))
+    rows = (len(time) - 1) // every + 1
+    force = np.ascontiguousarray(force / radii) if len(force) else np.zeros((1, 1, count))
     travel_gains = (
         np.zeros((2 * count, len(machine.sensors))) if gains is None else gains * to_travel[:, None]
     )
     # Columns: travel, its rate; then, with `effects`, the time and the states of effects.
     width = kernel.states if effects else 2 * count
-    state_series = np.empty((batch if states else 0, len(time), width))
-    reading_series = np.empty((batch if readings else 0, len(time), len(machine.sensors)))
+    state_series = np.empty((batch if states else 0, rows, width))
+    reading_series = np.empty((batch if readings else 0, rows, len(machine.sensors)))
 
     def simulate_blocks(first: int, end: int) -> None:
         kernel.rollout(
@@ -166,8 +175,10 @@ def simulate_batch(
             first_states,
             measurements,
             travel_gains,
+            shifts,
             force,
             longest_step,
+            every,
             first,
             end,
             state_series,

@@ -15,6 +15,7 @@ from pathlib import Path
 
 from ..errors import InputError
 from ..machine import Machine
+from ..operating_system import reused_memory
 from ..parallel import single_threaded_linear_algebra
 from ..preparation.dataset import Dataset, runs_that_should_move
 from ..preparation.division import copied_runs, divide_runs, moving_runs
@@ -39,6 +40,7 @@ _SILENT = (
 )
 
 
+@reused_memory()
 @single_threaded_linear_algebra()  # the result depends on no number of threads
 def identify(
     recordings: Sequence[Recording],

@@ -8,6 +8,7 @@ and only its typical size is known.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,7 +47,14 @@ def rigid_basis(machine: Machine) -> Array:
         return np.eye(len(machine.coordinates))[:, ~held]
     constraints = [machine.coefficients(b.extension) for b in machine.belts]
     constraints += [machine.coefficients({name: 1.0}) for name in machine.spring_loaded]
-    return np.asarray(null_space(np.array(constraints)) / machine.travel_per_unit[:, None])
+    unstretched = _unstretched_travel(tuple(map(tuple, np.array(constraints).tolist())))
+    return np.asarray(unstretched / machine.travel_per_unit[:, None])
+
+
+@lru_cache(maxsize=64)  # of few machines, but asked for before every prediction
+def _unstretched_travel(constraints: tuple[tuple[float, ...], ...]) -> Array:
+    """Return a basis of the belt travels of the coordinates, m, that are 0 in all constraints."""
+    return np.asarray(null_space(np.array(constraints)))
 
 
 def static_equilibrium(machine: Machine, positions: Array) -> Array:

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..machine import Machine
-from .clock_voltages import ClockVoltages
+from .clock_voltages import ClockVoltages, with_clock_voltages
 from .encoder_zeros import EncoderZeros
 from .initial_state import model_initial_states
-from .interpolated_voltages import Interpolation
+from .interpolated_voltages import Interpolation, update_times, updated_inputs
 from .rest_measurement import InitialState
 from .sensor_zeros import max_zero_means
 
@@ -118,6 +118,16 @@ class PreparedRecording:
         """Effective number of measured values in the fit, dimensionless; N repeats of a rounded value count as one."""
         return float(self.weights.sum())
 
+    @cached_property
+    def known_outputs(self) -> Array:
+        """Measurements minus zeros, in the sensors' units, 0 where missing, shape (n, sensors)."""
+        return np.where(np.isfinite(self.outputs), self.outputs, 0.0)
+
+    @cached_property
+    def fit_scales(self) -> Array:
+        """What makes an error of each measurement a residual of a fit: sqrt(weight) / noise, shape (n, sensors)."""
+        return np.asarray(np.sqrt(self.weights) / self.noise)
+
     def first_rows(self, count: int) -> PreparedRecording:
         """Return the beginning of the run.
 
@@ -133,6 +143,29 @@ class PreparedRecording:
     def without_clock_answers(self) -> Array:
         """Return the voltages of the rows without the answers to the jitter of the clock, V, shape (n, drives)."""
         return self.inputs if self.clock_voltages is None else self.inputs - self.clock_voltages.answers
+
+    @cached_property
+    def held_voltages(self) -> tuple[Array, Array]:
+        """Times at which the voltages change, s, shape (m,), and the voltages from then on, V, shape (m, drives)."""
+        return self.held(self.inputs)
+
+    def held(self, inputs: Array) -> tuple[Array, Array]:
+        """Return the times at which voltages change, and the voltages from then on: in the rows, or between them too.
+
+        Args:
+            inputs: Voltages in the rows, V, shape (..., n, drives).
+
+        Returns:
+            Times, s, shape (m,), and voltages, V, shape (..., m, drives), with m = (n - 1) * `updates` + 1.
+        """
+        if self.updates == 1:
+            return self.time_s, inputs
+        if self.clock_voltages is not None:
+            inputs = with_clock_voltages(inputs, self.clock_voltages, self.time_s, self.updates)
+        return (
+            update_times(self.time_s, self.updates),
+            updated_inputs(self.time_s, inputs, self.updates, self.interpolation),
+        )
 
     def initial_state(self, machine: Machine) -> Array:
         """Return the state from which a machine is simulated over this run.

@@ -57,22 +57,3 @@ def updated_inputs(
     """
     axis = np.ndim(inputs) - 2
     return np.asarray(_INTERPOLATORS[interpolation](time_s, inputs, axis=axis)(update_times(time_s, updates)))
-
-
-def at_updates(values: Array, updates: int, *, between: float | None = None) -> Array:
-    """Return values of rows at the times at which a controller changes the voltages.
-
-    Args:
-        values: Values in the rows, any unit, shape (..., n, k).
-        updates: Changes of the voltages from one row to the next.
-        between: Value between the rows, in the same unit. Default: the value of the row before.
-
-    Returns:
-        Values at `update_times`, shape (..., (n - 1) * `updates` + 1, k).
-    """
-    repeated = np.repeat(values, updates, axis=-2)[..., : (values.shape[-2] - 1) * updates + 1, :]
-    if between is not None:
-        rows = repeated[..., ::updates, :].copy()
-        repeated[...] = between
-        repeated[..., ::updates, :] = rows
-    return repeated

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -37,15 +39,34 @@ def sensor_zero_error(
         Errors of the zeros, in the sensors' units, shape (batch, 1, sensors), to be subtracted from `error`.
     """
 
-    def mean(rows: slice) -> Array:  # (batch, sensors)
+    def mean(rows: slice) -> Array:
         # An eighth of the time of a product and a sum.
         sums = np.einsum("bns,sn->bs", error[:, rows], np.ascontiguousarray(weights[rows].T))
         return np.asarray(sums / np.maximum(weights[rows].sum(axis=0), 1e-12))
 
-    at_rest, of_run = mean(settled_rows(resting_rows)), mean(slice(None))
+    return zeros_from_means(mean, error.shape[1], resting_rows, max_mean, quanta)[:, None, :]
+
+
+def zeros_from_means(
+    mean: Callable[[slice], Array], rows: int, resting_rows: int, max_mean: Array, quanta: Array
+) -> Array:
+    """Estimate the errors of the sensors' zeros (`sensor_zero_error`) from mean prediction errors over some rows.
+
+    Args:
+        mean: Function that returns the mean error over rows, in the sensors' units, shape (batch, sensors).
+        rows: Number of rows of the run.
+        resting_rows: Number of rows at rest at the beginning of the run, at least 1.
+        max_mean: Largest difference between estimate and mean error at rest, in the sensors' units, shape (sensors,);
+            infinite for no limit.
+        quanta: Quantization steps of the sensors, in the sensors' units, 0 where there is none, shape (sensors,).
+
+    Returns:
+        Errors of the zeros, in the sensors' units, shape (batch, sensors).
+    """
+    at_rest, of_run = mean(settled_rows(resting_rows)), mean(slice(0, rows))
     if resting_rows == 1:
-        at_rest = np.where(quanta > 0.0, at_rest, mean(slice(_FIRST_ROWS)))
-    return np.asarray((at_rest + np.clip(of_run - at_rest, -max_mean, max_mean))[:, None, :])
+        at_rest = np.where(quanta > 0.0, at_rest, mean(slice(0, min(_FIRST_ROWS, rows))))
+    return np.asarray(at_rest + np.clip(of_run - at_rest, -max_mean, max_mean))
 
 
 def max_zero_means(behind: NDArray[np.bool_], quanta: Array) -> Array:

@@ -219,3 +219,25 @@ def test_read_only_recordings_are_simulated_by_the_same_compiled_code(axis: Mach
         (time_s, inputs, measured)[k].setflags(write=False)
         simulate_batch(axis, time_s, inputs, measured=measured, gains=gains)
     assert len(time_loops.rollout.signatures) == compiled
+
+
+def test_samples_between_the_rows_change_voltages_only(axis: Machine) -> None:
+    """With two samples a row, the simulation is that of all samples, of which only the rows are measured."""
+    rng = np.random.default_rng(0)
+    inputs, gains = rng.uniform(-2.0, 2.0, (401, 1)), np.array([[0.1], [2.0]])
+    measured = np.full((401, 1), np.nan)
+    measured[::2] = rng.normal(0.0, 1e-3, (201, 1))
+    complete = simulate_batch(axis, TIME, inputs, measured=measured, gains=gains)
+    in_rows = simulate_batch(axis, TIME, inputs, measured=measured[::2], gains=gains, every=2)
+    for every_sample, rows in zip(complete, in_rows, strict=True):
+        assert np.array_equal(every_sample[:, ::2], rows)
+
+
+def test_offsets_are_added_to_readings_and_reach_the_observer(axis: Machine) -> None:
+    offsets, gains = np.array([[0.0], [2e-3]]), np.array([[0.1], [2.0]])
+    inputs, measured = np.ones((401, 1)), np.zeros((401, 1))
+    both = simulate_batch(axis, TIME, inputs, measured=measured, gains=gains, offsets=offsets)
+    moved = simulate_batch(axis, TIME, inputs, measured=measured - 2e-3, gains=gains)
+    np.testing.assert_allclose(both.positions[1], moved.positions[0], atol=1e-15)
+    np.testing.assert_allclose(both.readings[1], moved.readings[0] + 2e-3, atol=1e-15)
+    assert not np.allclose(both.positions[0], both.positions[1], atol=1e-4)

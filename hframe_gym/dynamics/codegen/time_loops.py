@@ -105,22 +105,22 @@ def start_block(
 
 
 @compiled_only
-def copy_lanes(block: int, i: int, rows, table) -> None:
-    """Copy values of a block to one sample of a table over all samples.
+def copy_lanes(block: int, row: int, values, table) -> None:
+    """Copy values of a block to one row of a table over the rows of a recording.
 
     Args:
-        rows: Values of the block (states or readings, any unit), shape (k or more, LANES); the first k rows are copied.
-        table: Output for B machines and N samples, in the unit of the rows, shape (B, N, k); if empty, nothing is done.
+        values: Values of the block (states or readings, any unit), shape (k or more, LANES); the first k are copied.
+        table: Output for B machines, in the unit of the values, shape (B, rows, k); if empty, nothing is done.
     """
     first = block * LANES
     if first + LANES <= table.shape[0]:  # a constant number of machines: twice as fast
         for lane in range(LANES):
             for k in range(table.shape[2]):
-                table[first + lane, i, k] = rows[k, lane]
+                table[first + lane, row, k] = values[k, lane]
     else:
         for lane in range(table.shape[0] - first):
             for k in range(table.shape[2]):
-                table[first + lane, i, k] = rows[k, lane]
+                table[first + lane, row, k] = values[k, lane]
 
 
 @compiled_only
@@ -153,14 +153,14 @@ def delay_readings(time, i: int, sensor_delays, past_readings, reading) -> None:
 
 
 @compiled_only
-def inject_outputs(block: int, i: int, measured, gains, reading, innovation, state) -> None:
+def inject_outputs(block: int, row: int, measured, gains, reading, innovation, state) -> None:
     """Correct the states of a block by measurements, as an observer does.
 
     The correction gains @ (measured - reading) is added to the state (output injection). The innermost loops go over
     all lanes, so that they are vector instructions.
 
     Args:
-        measured: Measurements, in the sensors' units, shape (1 or B, N, sensors), NaN where not measured.
+        measured: Measurements, in the sensors' units, shape (1 or B, rows, sensors), NaN where not measured.
         gains: Change of belt travel (m) and of its rate (m/s) per m or rad of error, shape (2 * coordinates, sensors).
         reading: Simulated readings, in the sensors' units, shape (sensors, LANES).
         innovation: Room for the differences, in the sensors' units, shape (sensors, LANES).
@@ -168,14 +168,14 @@ def inject_outputs(block: int, i: int, measured, gains, reading, innovation, sta
     """
     for j in range(reading.shape[0]):
         if measured.shape[0] == 1:
-            measurement = measured[0, i, j]
+            measurement = measured[0, row, j]
             if not np.isfinite(measurement):
                 continue
             for lane in range(LANES):
                 innovation[j, lane] = measurement - reading[j, lane]
         else:
             for lane in range(LANES):
-                measurement = measured[min(block * LANES + lane, measured.shape[0] - 1), i, j]
+                measurement = measured[min(block * LANES + lane, measured.shape[0] - 1), row, j]
                 innovation[j, lane] = measurement - reading[j, lane] if np.isfinite(measurement) else 0.0
         for k in range(gains.shape[0]):
             gain = gains[k, j]
@@ -191,6 +191,7 @@ def hold_inputs(
     forced: bool,
     time,
     i: int,
+    row: int,
     steps: int,
     h: float,
     inputs,
@@ -203,9 +204,10 @@ def hold_inputs(
 
     Args:
         time: Sample times, s, shape (N,).
+        row: Row of the recording at or before sample i.
         h: Length of a step, s.
         inputs: Voltages, V, shape (1 or B, N, drives).
-        extra: External forces along the belt travel, N, shape (1 or B, N, coordinates).
+        extra: External forces along the belt travel, N, shape (1 or B, rows, coordinates).
         drive_delays: Delay of each drive, s, shape (drives, LANES).
         voltages: Output, V, shape (drives, LANES); if a drive has a delay, the mean voltages of every step, shape
             (steps * drives, LANES).
@@ -214,11 +216,11 @@ def hold_inputs(
     for k in range(drive_delays.shape[0]):
         if delayed:
             for s in range(steps):
-                row = s * drive_delays.shape[0] + k
+                of_step = s * drive_delays.shape[0] + k
                 for lane in range(LANES):
                     u = min(block * LANES + lane, inputs.shape[0] - 1)
                     begin = time[i] + s * h - drive_delays[k, lane]
-                    voltages[row, lane] = held_mean(time, inputs[u, :, k], begin, begin + h, i)
+                    voltages[of_step, lane] = held_mean(time, inputs[u, :, k], begin, begin + h, i)
         elif inputs.shape[0] == 1:
             voltage = inputs[0, i, k]
             for lane in range(LANES):
@@ -229,7 +231,7 @@ def hold_inputs(
     if forced:
         for k in range(external_forces.shape[0]):
             for lane in range(LANES):
-                external_forces[k, lane] = extra[min(block * LANES + lane, extra.shape[0] - 1), i, k]
+                external_forces[k, lane] = extra[min(block * LANES + lane, extra.shape[0] - 1), row, k]
 
 
 @compiled
@@ -243,8 +245,10 @@ def rollout(
     start,
     measured,
     gains,
+    offsets,
     extra,
     longest_step: float,
+    every: int,
     first: int,
     last: int,
     out,
@@ -260,13 +264,15 @@ def rollout(
         inputs: Voltages, V, shape (1 or B, N, drives), held until the next sample.
         parameters: Machine parameters, SI, shape (B, parameters).
         start: First state without its time: belt travel (radius * angle), m, rate, m/s, effects, shape (B, rows - 1).
-        measured: Measurements to correct the state, in the sensors' units, shape (1 or B, N, sensors), NaN where
+        measured: Measurements to correct the state, in the sensors' units, shape (1 or B, rows, sensors), NaN where
             missing; or empty.
         gains: Change of travel and its rate per error, m and m/s per m or rad, shape (2 * coordinates, sensors).
-        extra: External forces, N, held until the next sample, shape (1 or B, N, coordinates); used if they act.
+        offsets: Added to the readings of each machine, in the sensors' units, shape (B, sensors); or empty.
+        extra: External forces, N, held until the next row, shape (1 or B, rows, coordinates); used if they act.
         longest_step: Largest step of the integrator, s.
-        out: Output, first k rows of the state (travel, m; its rate, m/s) at the samples, shape (B, N, k), or empty.
-        readings: Output, sensor readings, in the sensors' units, shape (B, N, sensors); empty if not needed.
+        every: Samples from one row of the recording to the next: more than one if voltages change between the rows.
+        out: Output, first k rows of the state (travel, m; its rate, m/s) in the rows, shape (B, rows, k), or empty.
+        readings: Output, sensor readings, in the sensors' units, shape (B, rows, sensors); empty if not needed.
     """
     prepare, voltage_delays, advance, read_sensors, measurement_delays = functions
     coordinates, rows, drives, sensors, constants, derived_rows = sizes
@@ -278,25 +284,37 @@ def rollout(
     sensor_delays = np.zeros((sensors, LANES))
     external_forces = np.zeros((coordinates, LANES))
     reading = np.zeros((sensors, LANES))
+    offset = np.zeros((sensors, LANES))
     innovation = np.zeros((sensors, LANES))
     past_readings = np.zeros((time.shape[0] if lagged else 0, sensors, LANES))
     voltages = np.zeros((drives * most_steps(time, longest_step) if delayed else drives, LANES))
     for block in range(first, last):
         start_block(block, coordinates, time[0], parameters, start, state, block_parameters)
+        if offsets.shape[0] > 0:
+            for j in range(sensors):
+                for lane in range(LANES):
+                    offset[j, lane] = offsets[min(block * LANES + lane, offsets.shape[0] - 1), j]
         if delayed:
             call_at(voltage_delays, block_parameters, drive_delays)
         if lagged:
             call_at(measurement_delays, block_parameters, sensor_delays)
         period, h, steps = -1.0, longest_step, 1
         for i in range(time.shape[0]):
-            copy_lanes(block, i, state, out)
-            if measured.shape[0] > 0 or readings.shape[0] > 0:
+            row, in_row = i // every, i % every == 0
+            if in_row:
+                copy_lanes(block, row, state, out)
+            if (in_row or lagged) and (measured.shape[0] > 0 or readings.shape[0] > 0):
                 call_at(read_sensors, state, block_parameters, reading)
                 if lagged:
                     delay_readings(time, i, sensor_delays, past_readings, reading)
-                copy_lanes(block, i, reading, readings)
-            if measured.shape[0] > 0:
-                inject_outputs(block, i, measured, gains, reading, innovation, state)
+                if offsets.shape[0] > 0:
+                    for j in range(sensors):
+                        for lane in range(LANES):
+                            reading[j, lane] += offset[j, lane]
+                if in_row:
+                    copy_lanes(block, row, reading, readings)
+            if in_row and measured.shape[0] > 0:
+                inject_outputs(block, row, measured, gains, reading, innovation, state)
             if i + 1 == time.shape[0]:
                 break
             dt = time[i + 1] - time[i]
@@ -311,6 +329,7 @@ def rollout(
                 forced,
                 time,
                 i,
+                row,
                 steps,
                 h,
                 inputs,

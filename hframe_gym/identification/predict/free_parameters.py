@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.optimize import lsq_linear
@@ -64,7 +65,7 @@ class FreeParameter:
         """Whether it is a parameter of an effect, not of the machine itself."""
         return "@" in self.name  # the label of an effect is name@site
 
-    @property
+    @cached_property
     def theta_limits(self) -> tuple[float, float]:
         """Smallest and largest theta (dimensionless variable of the optimizer) that a fit may reach.
 
@@ -111,7 +112,9 @@ class FreeParameter:
             Values of the parameter, SI, within its bounds, in the shape of theta.
         """
         raw = self.center * np.exp(theta) if self.scale is None else self.center + self.scale * theta
-        return np.clip(raw, self.lower, self.upper)
+        return np.minimum(
+            np.maximum(raw, self.lower), self.upper
+        )  # a fifth of the time of `clip` of few values
 
     def theta(self, value: float) -> float:
         """Convert a value of the parameter to theta, the dimensionless variable of the optimizer.

@@ -60,7 +60,9 @@ def forward_differences(values: Array, step: float | Array = DIFFERENCE_STEP) ->
     Returns:
         Derivatives, in the unit of the values per unit of the variable, shape (k, ...).
     """
-    return np.asarray(((values[1:] - values[0]).T / step).T)
+    differences = values[1:] - values[0]
+    differences /= np.reshape(step, (-1, *[1] * (values.ndim - 1)))
+    return np.asarray(differences)
 
 
 @dataclass(frozen=True)

@@ -24,10 +24,9 @@ from ...dynamics.simulation import Motion, threads
 from ...machine import Machine, carried_through_contacts
 from ...parallel import single_threaded_linear_algebra
 from ...preparation.belt_stretch import rigid_basis
-from ...preparation.clock_voltages import with_clock_voltages
 from ...preparation.dataset import Dataset, PreparedRecording
-from ...preparation.interpolated_voltages import at_updates, update_times, updated_inputs
-from ...preparation.sensor_zeros import max_zero_means, sensor_zero_error
+from ...preparation.sensor_zeros import max_zero_means, zeros_from_means
+from .error_loops import mean_errors, scaled_errors
 
 T = TypeVar("T")
 SEARCH_BANDWIDTH = 60.0  # rad/s; confines the error of a wrong model to a few hundredths of a second
@@ -226,8 +225,8 @@ def predict(
         inputs: Voltages, V, shape (batch, n, drives). Default: those of the run.
         extra_force: Additional force on every coordinate, N or Nm, constant from each sample to the next, shape
             (batch, n, coordinates). Default: none.
-        extra_measurement: Value added to the sensors' output, in the sensors' units, shape (batch, n or 1, sensors).
-            Default: none.
+        extra_measurement: Value added to the sensors' output, in the sensors' units, shape (batch, n, sensors), or
+            (batch, sensors) for a constant. Default: none.
         initial_state: Positions (m, rad), velocities (m/s, rad/s), effect states (SI; may be left out: zero), shape
             (2 * coordinates + effect states,) or with a leading batch axis. Default: `run.initial_state(machine)`. The
             observer shifts the measurements of encoders so that they agree with the first of these states.
@@ -240,22 +239,15 @@ def predict(
         (batch, n, coordinates) each.
     """
     starts = np.atleast_2d(run.initial_state(machine) if initial_state is None else initial_state)
+    constant = extra_measurement is not None and extra_measurement.ndim == 2
+    varying = None if constant else extra_measurement
     measured = gains = None
     bandwidth = run.bandwidth(bandwidth)
     if bandwidth > 0.0:
         measured = measurements_from(starts[0], machine, run)
-        measured = measured if extra_measurement is None else measured - extra_measurement
+        measured = measured if varying is None else measured - varying
         gains = observer_gains(machine, period, bandwidth)
-    time_s, inputs = run.time_s, run.inputs if inputs is None else inputs
-    if run.updates > 1:
-        if run.clock_voltages is not None:
-            inputs = with_clock_voltages(inputs, run.clock_voltages, time_s, run.updates)
-        time_s, inputs = (
-            update_times(time_s, run.updates),
-            updated_inputs(time_s, inputs, run.updates, run.interpolation),
-        )
-        extra_force = None if extra_force is None else at_updates(extra_force, run.updates)
-        measured = None if measured is None else at_updates(measured, run.updates, between=np.nan)
+    time_s, inputs = run.held_voltages if inputs is None else run.held(inputs)
     motion = simulate_batch(
         machine,
         time_s,
@@ -265,15 +257,13 @@ def predict(
         extra_force=extra_force,
         measured=measured,
         gains=gains,
+        offsets=extra_measurement if constant else None,
         longest_step=resolved_step(machine, longest_step),
+        every=run.updates,
         states=states,
         parallel=False,
     )
-    if run.updates > 1:
-        motion = Motion(*(values[:, :: run.updates] for values in motion))
-    return (
-        motion if extra_measurement is None else motion._replace(readings=motion.readings + extra_measurement)
-    )
+    return motion if varying is None else motion._replace(readings=motion.readings + varying)
 
 
 def measurements_from(start: Array, machine: Machine, run: PreparedRecording) -> Array:
@@ -347,16 +337,22 @@ def prediction_error(
     Returns:
         Errors, in the sensors' units, shape (batch, n, sensors); meaningless numbers where nothing was measured.
     """
-    measured = np.isfinite(run.outputs)
-    error: Array = run.outputs - measurements
-    error[:, ~measured] = 0.0
+    unscaled = np.ones_like(run.outputs)
+    return scaled_errors(
+        run.known_outputs, measurements, _zeros(run, data, measurements, fitted), unscaled, 1
+    )
+
+
+def _zeros(run: PreparedRecording, data: Dataset, measurements: Array, fitted: bool) -> Array:
+    """Return the errors of the sensors' zeros that `prediction_error` subtracts, shape (batch, sensors)."""
+    weights = run.weights if fitted else np.isfinite(run.outputs)
+    weights = np.array(weights if data.has_zero is None else weights * data.has_zero, np.float64, order="C")
+
+    def mean(rows: slice) -> Array:
+        return mean_errors(run.known_outputs, measurements, weights, rows.start, rows.stop)
+
     max_mean = data.fitted_zero_limits(run) if fitted else max_zero_means(data.behind_belts, data.quantum)
-    weights = run.weights if fitted else measured
-    weights = weights if data.has_zero is None else weights * data.has_zero
-    zero = sensor_zero_error(error, weights, run.initial.resting_rows, max_mean, data.quantum)
-    # Repeated for all rows: a third of the time of broadcasting rows of few sensors.
-    error -= np.tile(zero, (1, error.shape[1], 1))
-    return error
+    return zeros_from_means(mean, len(run.time_s), run.initial.resting_rows, max_mean, data.quantum)
 
 
 def residuals(
@@ -385,14 +381,10 @@ def residuals(
         Residuals, dimensionless, shape (batch, n // rows_per_block * sensors), all sensors of one row before the next;
         zero where a value was not measured.
     """
-    scales = np.sqrt(run.weights if fitted else run.weights > 0.0) / run.noise
+    scales = run.fit_scales if fitted else (run.weights > 0.0) / run.noise
     # Parameters that make a machine diverge cost infinitely much.
     with np.errstate(over="ignore", invalid="ignore"):
-        error = prediction_error(run, data, measurements, fitted=fitted)
-        error *= scales
-    batch, rows, sensors = error.shape
-    if rows_per_block > 1:
-        blocks = rows // rows_per_block
-        error = error[:, : blocks * rows_per_block].reshape(batch, blocks, rows_per_block, sensors)
-        error = np.einsum("bkrs->bks", error) / np.sqrt(rows_per_block)  # a fifth of the time of `sum`
-    return error.reshape(batch, -1)
+        zeros = _zeros(run, data, measurements, fitted)
+        scales = scales / np.sqrt(rows_per_block) if rows_per_block > 1 else scales
+        error = scaled_errors(run.known_outputs, measurements, zeros, scales, rows_per_block)
+    return error.reshape(len(error), -1)

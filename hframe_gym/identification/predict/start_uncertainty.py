@@ -234,7 +234,9 @@ class InitialStateProjection:
         Returns:
             Projected residuals, same shape; their sum of squares is the cost at the optimal displacement.
         """
-        return residual - (residual @ self.directions) * self.weights @ self.directions.T
+        explained = (residual @ self.directions) * self.weights
+        projected_rows = explained @ self.directions.T
+        return np.subtract(residual, projected_rows, out=projected_rows)
 
 
 def probable_amounts(residual: Array, displaced: Array) -> Array:
@@ -323,7 +325,7 @@ def predict_with_displaced_starts(
 
 
 def _displaced_zeros(machine: Machine, run: PreparedRecording, initial_states: Array) -> Array | None:
-    """Return the changes of the encoders' zeros that displaced initial states imply, shape (batch, 1, sensors).
+    """Return the changes of the encoders' zeros that displaced initial states imply, shape (batch, sensors).
 
     An encoder without a known zero counts from the state at the start. If that state is displaced, all of its
     measurements are, which an observer feeds back throughout the run. None if there is no such encoder.
@@ -331,7 +333,7 @@ def _displaced_zeros(machine: Machine, run: PreparedRecording, initial_states: A
     unknown = np.array([sensor.incremental for sensor in machine.sensors]) & ~run.initial.resolves_stretch
     positions = initial_states[:, : len(machine.coordinates)]
     changes = np.where(unknown, (positions - positions[0]) @ machine.sensor_matrix.T, 0.0)  # (batch, sensors)
-    return -changes[:, None] if np.any(changes) else None
+    return -changes if np.any(changes) else None
 
 
 def prediction_residuals(

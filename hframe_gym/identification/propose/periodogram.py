@@ -11,6 +11,7 @@ import itertools
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import rfft
 
 from ...arrays import Array
 from ..fit.missing_force import HIGHEST_FREQUENCY
@@ -142,18 +143,22 @@ def _explained_power(
     cell_position = position * (cells / (_POINTS_PER_PERIOD * span))
     lower_cell = cell_position.astype(np.int64)
 
-    def transform(values: Array, points: NDArray[np.int64]) -> NDArray[np.complex128]:
-        upper = values * (cell_position - lower_cell)
-        sums = np.bincount(lower_cell, values - upper, cells) + np.bincount(lower_cell + 1, upper, cells)
-        # The division undoes the smoothing by the distribution over two cells.
-        return np.asarray(np.fft.rfft(sums)[points].conj() / np.sinc(points / cells) ** 2)
-
-    projection = transform(factor * force, points)
-    in_basis = np.stack([transform(factor * column, points) for column in basis.T], axis=1)
-    square, double_rate = factor @ factor, transform(factor**2, 2 * points)
-    cc = 0.5 * (square + double_rate.real) - np.sum(in_basis.real**2, axis=1)
-    ss = 0.5 * (square - double_rate.real) - np.sum(in_basis.imag**2, axis=1)
-    cs = 0.5 * double_rate.imag - np.sum(in_basis.real * in_basis.imag, axis=1)
+    in_upper = cell_position - lower_cell  # part of a row that goes to the upper one of its two cells
+    columns = factor * np.vstack([force, basis.T, factor])
+    sums = np.empty((len(columns), cells))
+    for values, of_cells in zip(columns, sums, strict=True):
+        upper = values * in_upper
+        of_cells[:] = np.bincount(lower_cell, values - upper, cells)
+        of_cells += np.bincount(lower_cell + 1, upper, cells)
+    spectra = rfft(sums)
+    # The division undoes the smoothing by the distribution over two cells.
+    transforms = spectra[:-1, points].conj() / np.sinc(points / cells) ** 2
+    double_rate = spectra[-1, 2 * points].conj() / np.sinc(2 * points / cells) ** 2
+    projection, in_basis = transforms[0], transforms[1:]
+    square = factor @ factor
+    cc = 0.5 * (square + double_rate.real) - np.sum(in_basis.real**2, axis=0)
+    ss = 0.5 * (square - double_rate.real) - np.sum(in_basis.imag**2, axis=0)
+    cs = 0.5 * double_rate.imag - np.sum(in_basis.real * in_basis.imag, axis=0)
     determinant = np.maximum(cc * ss - cs**2, 1e-9 * cc * ss + 1e-300)
     explained = ss * projection.real**2 + cc * projection.imag**2 - 2 * cs * projection.real * projection.imag
     return np.asarray(explained / determinant)

@@ -195,8 +195,10 @@ def _initial_state(
     def errors(states: Array, outputs: Array) -> Array:
         """Return measured minus simulated values in the first k rows, 0 if not measured, shape (B, k, sensors)."""
         time_s, inputs = (values[: (len(outputs) - 1) * updates + 1] for values in updated)
-        motion = simulate_batch(machine, time_s, inputs, start=states, states=False, longest_step=step_s)
-        return np.where(np.isfinite(outputs), outputs - motion.readings[:, ::updates], 0.0)
+        motion = simulate_batch(
+            machine, time_s, inputs, start=states, longest_step=step_s, every=updates, states=False
+        )
+        return np.where(np.isfinite(outputs), outputs - motion.readings, 0.0)
 
     def weighted_errors(states: Array, count: int) -> Array:
         """Return errors without those of the zeros, in units of the noise, shape (B, count * sensors)."""

@@ -15,7 +15,7 @@ from hframe_gym.identification.fit.voltage_updates import VoltageUpdates, succes
 from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH, SIMULATION, predict
 from hframe_gym.identification.validate.recording_simulation import simulate_recording
 from hframe_gym.machine import BUILTIN_MACHINES
-from hframe_gym.preparation.interpolated_voltages import at_updates, update_times, updated_inputs
+from hframe_gym.preparation.interpolated_voltages import update_times, updated_inputs
 from hframe_gym.recordings import Recording
 from tests.identification.controlled_runs import PERIOD, controlled_run, every, random_places
 
@@ -111,12 +111,14 @@ def test_a_prediction_with_changes_between_rows_is_that_of_a_log_at_the_rate_of_
     """Held for 1 ms, interpolated voltages act in each row like the same voltages in a fast log."""
     slow = slow_log(4).with_updates(4)
     run = slow.runs[0]
+    outputs = np.full((4 * len(run.time_s) - 3, run.outputs.shape[1]), np.nan)
+    outputs[::4] = run.outputs
     fast = dataclasses.replace(
         run,
         updates=1,
         time_s=update_times(run.time_s, 4),
         inputs=updated_inputs(run.time_s, run.inputs, 4),
-        outputs=at_updates(run.outputs, 4, between=np.nan),
+        outputs=outputs,
     )
     for bandwidth in (SIMULATION, SEARCH_BANDWIDTH):
         both = [predict(RIG, r, bandwidth, period=4e-3, states=True) for r in (run, fast)]
@@ -147,6 +149,3 @@ def test_interpolated_inputs_keep_the_rows_and_do_not_overshoot_a_jump() -> None
     assert between[::3] == pytest.approx(inputs)
     assert np.all((between >= -1e-12) & (between <= 3.0 + 1e-12))
     assert update_times(time_s, 3)[6:10] == pytest.approx([2.0, 2.5, 3.0, 3.5])
-    rows = np.arange(6.0)[:, None]
-    assert np.array_equal(at_updates(rows, 2)[:5, 0], [0.0, 0.0, 1.0, 1.0, 2.0])
-    assert np.array_equal(at_updates(rows, 2, between=9.0)[:5, 0], [0.0, 9.0, 1.0, 9.0, 2.0])
