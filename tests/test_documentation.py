@@ -5,12 +5,13 @@ import os
 import re
 import subprocess
 import sys
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
 import pytest
 
-from tools.code_blocks import EXECUTED, SHOWN, Block, read_blocks
+from tools.code_blocks import EXECUTED, SHOWN, Block, BlockError, Interpreters, read_blocks
 from tools.repository import ROOT
 from tools.tables.pages import pages
 
@@ -40,13 +41,11 @@ def has_blocks(page: Path, slow: bool) -> bool:
     return any(block.slow for block in blocks) if slow else any(not block.slow for block in blocks)
 
 
-def run_blocks(page: Path, *options: str) -> str:
-    command = [sys.executable, "-m", "tools.code_blocks", name_of(page), *options]
-    result = subprocess.run(
-        command, cwd=ROOT, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": str(ROOT)}
-    )
-    assert result.returncode == 0, result.stdout[-3000:] + result.stderr[-5000:]
-    return result.stdout
+@pytest.fixture(scope="module")
+def interpreters() -> Iterator[Interpreters]:
+    """Return the interpreters of the blocks of all pages."""
+    with Interpreters() as started:
+        yield started
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
@@ -82,14 +81,14 @@ def test_every_block_has_a_language(page: Path) -> None:
 
 @pytest.mark.integration
 @pytest.mark.parametrize("page", [page for page in SITE if has_blocks(page, slow=False)], ids=name_of)
-def test_blocks_run(page: Path) -> None:
-    assert "executed" in run_blocks(page)
+def test_blocks_run(page: Path, interpreters: Interpreters) -> None:
+    assert interpreters.run_page(page, slow=False) > 0
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("page", [page for page in SITE if has_blocks(page, slow=True)], ids=name_of)
-def test_slow_blocks_run(page: Path) -> None:
-    assert "executed" in run_blocks(page, "--slow")
+def test_slow_blocks_run(page: Path, interpreters: Interpreters) -> None:
+    assert interpreters.run_page(page, slow=True) > 0
 
 
 def test_reader_of_blocks_finds_all_kinds(tmp_path: Path) -> None:
@@ -117,10 +116,25 @@ def test_reader_of_blocks_finds_all_kinds(tmp_path: Path) -> None:
     assert (
         "42" in subprocess.run([*run, "--slow"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
     )
+
+
+@pytest.mark.integration
+def test_a_block_that_fails_is_named_by_its_line(tmp_path: Path, interpreters: Interpreters) -> None:
+    page = tmp_path / "page.md"
     page.write_text("text\n\n```python\nx = 1\nx / 0\n```\n")
-    failed = subprocess.run(run, cwd=ROOT, capture_output=True, text=True)
-    assert failed.returncode == 1
-    assert "line 5" in failed.stderr  # the line of the page
+    with pytest.raises(BlockError, match=r'page\.md", line 5'):
+        interpreters.run_page(page, slow=False)
+    page.write_text("text\n\n```sh\nhframe machines show nothing\n```\n")
+    with pytest.raises(BlockError, match=r"page\.md, line 4: hframe machines show nothing: exit code 2"):
+        interpreters.run_page(page, slow=False)
+    page.write_text("```python\nvalue = 1\n```\n")
+    assert interpreters.run_page(page, slow=False) == 1
+    page.write_text("```python\nprint(value)\n```\n")  # of another page
+    with pytest.raises(BlockError, match="name 'value' is not defined"):
+        interpreters.run_page(page, slow=False)
+    page.write_text("```sh\nfalse | true\n```\n")
+    with pytest.raises(BlockError, match="non-zero exit status"):
+        interpreters.run_page(page, slow=False)
 
 
 @pytest.mark.integration
