@@ -10,6 +10,7 @@ from .motion_forces import (
     delayed_voltages,
     effect_forces,
     effect_states,
+    forces_along,
     net_forces,
     sensor_readings,
 )
@@ -45,6 +46,7 @@ __all__ = [
     "delayed_voltages",
     "effect_forces",
     "effect_states",
+    "forces_along",
     "in_blocks",
     "in_parallel",
     "instances_with_state",

@@ -73,7 +73,21 @@ def net_forces(
     Returns:
         Net forces, N or Nm, shape (N, coordinates), or (variants, N, coordinates) if a value is an array.
     """
-    equations = Equations(machine, values)
+    return forces_along(Equations(machine, values), time_s, positions, velocities, inputs)
+
+
+def forces_along(
+    equations: Equations, time_s: Times, positions: Array, velocities: Array, inputs: Inputs
+) -> Array:
+    """Return what `net_forces` returns, for equations that are used for several motions.
+
+    Args:
+        positions: Positions, m or rad, shape (N, coordinates).
+        velocities: Velocities, m/s or rad/s, shape (N, coordinates).
+
+    Returns:
+        Net forces, N or Nm, shape (N, coordinates), or (variants, N, coordinates) for several variants of a parameter.
+    """
     voltages = delayed_voltages(equations, time_s, inputs)
     states = effect_states(equations, time_s, positions, velocities, voltages)
     point = equations.point(positions, velocities, time_s, states)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -58,9 +59,10 @@ def most_probable_initial_state(machine: Machine, run: PreparedRecording, data: 
         Positions (m, rad), velocities (m/s, rad/s) and states of the effects (SI), shape (2 * coordinates + effect
         states,).
     """
+    beginning = cache(run.first_rows)  # it keeps what predictions need of a run
 
     def errors(states: Array, rows: int) -> Array:
-        first = run.first_rows(rows)
+        first = beginning(rows)
         motion = predict(
             machine, first, SIMULATION, period=data.period, initial_state=states, longest_step=POLISH_STEP
         )

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...arrays import Array
-from ...dynamics import Equations, net_forces
+from ...dynamics import Equations, forces_along
 from ...dynamics.motion_forces import ohmic_currents
 from ...dynamics.simulation import Motion, parameter_batch
 from ...effects import EFFECTS, effect_sites
@@ -91,10 +91,11 @@ def screen(fit: Fit, candidates: Sequence[Candidate], data: Dataset) -> list[Sco
     if not candidates:
         return []
     model, may_go_on = _screening_model(fit, data), spender()
+    perturbed = perturbed_machines(model.machine, candidates)
 
     def responses(run: PreparedRecording, motion: Motion) -> Array:
         may_go_on()
-        return _responses(model, candidates, run, motion)
+        return _responses(model, perturbed, run, motion)
 
     equations = model.linearize(fit.theta, responses).normal_equations
     # The ridge keeps the elimination possible where parameters have the same influence on the measurements.
@@ -144,11 +145,12 @@ def resemblances(
         Each candidate effect and site once, those that resemble the effect most first.
     """
     own = Candidate(effect.definition, effect.site, (dict(effect.parameters),), {})
-    model, may_go_on, compared = _screening_model(fit, data), spender(), [own, *candidates]
+    model, may_go_on = _screening_model(fit, data), spender()
+    perturbed = perturbed_machines(model.machine, [own, *candidates])
 
     def responses(run: PreparedRecording, motion: Motion) -> Array:
         may_go_on()
-        return _responses(model, compared, run, motion)
+        return _responses(model, perturbed, run, motion)
 
     equations = model.linearize(fit.theta, responses).normal_equations
     ridge = np.diag(_RIDGE * np.diag(equations.information))
@@ -169,36 +171,32 @@ def resemblances(
     return sorted(found.values(), key=lambda resemblance: resemblance.loss)
 
 
-def candidate_perturbations(
-    machine: Machine, candidates: Sequence[Candidate], run: PreparedRecording, motion: Motion
-) -> Perturbation:
-    """Compute the forces and measurement changes that candidate effects of typical size cause along a motion.
+class PerturbedMachine(NamedTuple):
+    """Machine with one effect at one site, in as many variants as its candidates have basis functions.
 
-    `screen` linearizes the residual with them. They are approximate in three respects: the motion is computed for the
-    machine without the candidate, the candidate does not interact with other effects, and forces are constant from each
-    sample to the next.
+    Attributes:
+        effect: Definition of the effect.
+        columns: Number of variants.
+        fraction: Size of the variants as a fraction of that of the basis functions, dimensionless.
+        equations: Equations of the machine with the effect; each parameter of it has the shape (columns, 1).
+    """
+
+    effect: Effect
+    columns: int
+    fraction: float
+    equations: Equations
+
+
+def perturbed_machines(machine: Machine, candidates: Sequence[Candidate]) -> list[PerturbedMachine]:
+    """Return the machine with each of some effects, for `candidate_perturbations` along several motions.
 
     Args:
-        candidates: Candidate effects. Successive ones with the same effect and site are evaluated together.
-        run: Run with the sample times and voltages of the motion.
-        motion: Motion of the machine with positions and velocities, a batch of one, n samples.
-
-    Returns:
-        Forces, N or Nm, shape (columns, n, coordinates), and changes of measurements, m or rad, shape
-        (columns, n, sensors). A column is one basis function of one candidate, in the order of `Candidate.columns`.
+        candidates: Candidate effects. Successive ones with the same effect and site are variants of one machine.
     """
-    # Ties refer to the parameters of effects; the machine's parameters already have their values.
-    bare = dataclasses.replace(machine, effects=(), ties={})
-    record = (run.time_s, motion.positions[0], motion.velocities[0], run.inputs)
-    bare_force = net_forces(bare, *record)
-    count, first = sum(len(c.columns) for c in candidates), 0
-    force = np.zeros((count, *motion.positions.shape[1:]))
-    measurement = np.zeros((count, *motion.readings.shape[1:]))
+    bare, perturbed = _without_effects(machine), []
     for _, group in itertools.groupby(candidates, key=lambda c: c.label):
         members = list(group)
         effect, columns = members[0].effect, [column for c in members for column in c.columns]
-        rows = slice(first, first + len(columns))
-        first += len(columns)
         # A small amplitude keeps the response linear: a Coulomb level cannot become negative, and the force of an
         # eccentric pulley contains the product of belt travel and lever arm.
         fraction = _SMALL_FRACTION if effect.coulomb or effect.belt_travel else 1.0
@@ -207,11 +205,48 @@ def candidate_perturbations(
         parameters = {
             name: np.array([[scale * column[name]] for column in columns]) for name, scale in scales.items()
         }
-        perturbed = dataclasses.replace(bare, effects=(AppliedEffect(effect, members[0].site, parameters),))
+        applied = AppliedEffect(effect, members[0].site, parameters)
+        equations = Equations(dataclasses.replace(bare, effects=(applied,)))
+        perturbed.append(PerturbedMachine(effect, len(columns), fraction, equations))
+    return perturbed
+
+
+def _without_effects(machine: Machine) -> Machine:
+    """Return a machine without effects; ties refer to their parameters, the machine's already have their values."""
+    return dataclasses.replace(machine, effects=(), ties={})
+
+
+def candidate_perturbations(
+    machine: Machine, perturbed: Sequence[PerturbedMachine], run: PreparedRecording, motion: Motion
+) -> Perturbation:
+    """Compute the forces and measurement changes that candidate effects of typical size cause along a motion.
+
+    `screen` linearizes the residual with them. They are approximate in three respects: the motion is computed for the
+    machine without the candidate, the candidate does not interact with other effects, and forces are constant from each
+    sample to the next.
+
+    Args:
+        perturbed: The machine with each of the candidate effects, from `perturbed_machines`.
+        run: Run with the sample times and voltages of the motion.
+        motion: Motion of the machine with positions and velocities, a batch of one, n samples.
+
+    Returns:
+        Forces, N or Nm, shape (columns, n, coordinates), and changes of measurements, m or rad, shape
+        (columns, n, sensors). A column is one basis function of one candidate, in the order of `Candidate.columns`.
+    """
+    bare = Equations(_without_effects(machine))
+    record = (run.time_s, motion.positions[0], motion.velocities[0], run.inputs)
+    bare_force, ideal = forces_along(bare, *record), _sensed(bare, run, motion)
+    count, first = sum(each.columns for each in perturbed), 0
+    force = np.zeros((count, *motion.positions.shape[1:]))
+    measurement = np.zeros((count, *motion.readings.shape[1:]))
+    for effect, columns, fraction, equations in perturbed:
+        rows = slice(first, first + columns)
+        first += columns
         if _acts_on_sensors(effect):
-            measurement[rows] = _measurement_change(perturbed, run, motion)
+            measurement[rows] = _measurement_change(equations, ideal, run, motion)
         else:
-            np.subtract(net_forces(perturbed, *record), bare_force, out=force[rows])
+            np.subtract(forces_along(equations, *record), bare_force, out=force[rows])
             if fraction != 1.0:
                 force[rows] /= fraction
     return Perturbation(force, measurement)
@@ -222,26 +257,26 @@ def _acts_on_sensors(effect: Effect) -> bool:
     return bool(effect.measurement or effect.measurement_delay)
 
 
-def _sensed(machine: Machine, time_s: Array, motion: Motion, inputs: Array) -> list[Array]:
+def _sensed(equations: Equations, run: PreparedRecording, motion: Motion) -> list[Array]:
     """Return the readings of each sensor along a motion, (n,) or (columns, n) each; accelerations are differences."""
     q, v = motion.positions[0], motion.velocities[0]
-    currents = ohmic_currents(dataclasses.replace(machine, effects=()), v, inputs)
-    columns = (list(values.T) for values in (q, v, np.gradient(v, time_s, axis=0), currents))
-    return Equations(machine).sensor_readings(*columns)
+    currents = ohmic_currents(_without_effects(equations.machine), v, run.inputs)
+    columns = (list(values.T) for values in (q, v, np.gradient(v, run.time_s, axis=0), currents))
+    return equations.sensor_readings(*columns)
 
 
-def _measurement_change(machine: Machine, run: PreparedRecording, motion: Motion) -> Array:
-    """Return the change of the measurements by a machine's effects on sensors, shape (columns or 1, n, sensors).
+def _measurement_change(
+    equations: Equations, ideal: Sequence[Array], run: PreparedRecording, motion: Motion
+) -> Array:
+    """Return the change of ideal measurements by effects on sensors, shape (columns or 1, n, sensors).
 
     A measurement delay d is approximated to first order: the measurement changes by -d times its rate.
     """
-    effect_free = _sensed(dataclasses.replace(machine, effects=()), run.time_s, motion, run.inputs)
-    equations = Equations(machine)
     changes = [
-        np.atleast_2d(measured - ideal - delay * np.gradient(values, run.time_s))
-        for measured, ideal, delay, values in zip(
-            _sensed(machine, run.time_s, motion, run.inputs),
-            effect_free,
+        np.atleast_2d(measured - without - delay * np.gradient(values, run.time_s))
+        for measured, without, delay, values in zip(
+            _sensed(equations, run, motion),
+            ideal,
             equations.measurement_delays(),
             motion.readings[0].T,
             strict=True,
@@ -258,7 +293,7 @@ def _screening_model(fit: Fit, data: Dataset) -> ResidualModel:
 
 
 def _responses(
-    model: ResidualModel, candidates: Sequence[Candidate], run: PreparedRecording, motion: Motion
+    model: ResidualModel, perturbed: Sequence[PerturbedMachine], run: PreparedRecording, motion: Motion
 ) -> Array:
     """Return the derivatives of a run's residual by the columns of candidates, shape (columns, rows)."""
 
@@ -277,23 +312,22 @@ def _responses(
     # The unperturbed residual comes from the same kernel, the one that takes extra forces.
     unperturbed = residual(np.zeros((1, *motion.positions.shape[1:])), None)
     columns = []
-    for part in _parts(candidates):
+    for part in _parts(perturbed):
         force, measurement = candidate_perturbations(model.machine, part, run, motion)
-        of_sensors = any(_acts_on_sensors(c.effect) for c in part)
+        of_sensors = any(_acts_on_sensors(each.effect) for each in part)
         changed = residual(DIFFERENCE_STEP * force, DIFFERENCE_STEP * measurement if of_sensors else None)
         columns.append((changed - unperturbed) / DIFFERENCE_STEP)
     return np.vstack(columns)
 
 
-def _parts(candidates: Sequence[Candidate]) -> Iterator[list[Candidate]]:
-    """Divide candidates, in their order, into parts of few columns; those with the same label stay together."""
-    part: list[Candidate] = []
-    for _, group in itertools.groupby(candidates, key=lambda c: c.label):
-        members = list(group)
-        if part and sum(len(c.columns) for c in (*part, *members)) > _COLUMNS_AT_ONCE:
+def _parts(perturbed: Sequence[PerturbedMachine]) -> Iterator[list[PerturbedMachine]]:
+    """Divide perturbed machines, in their order, into parts of few columns."""
+    part: list[PerturbedMachine] = []
+    for each in perturbed:
+        if part and sum(other.columns for other in (*part, each)) > _COLUMNS_AT_ONCE:
             yield part
             part = []
-        part += members
+        part.append(each)
     yield part
 
 

@@ -12,7 +12,11 @@ from hframe_gym.identification import Dataset, Fit, default_free_parameters, fit
 from hframe_gym.identification.fit.typical_scales import typical_scales
 from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH, SIMULATION, predict
 from hframe_gym.identification.propose.candidates import Candidate
-from hframe_gym.identification.propose.screening import candidate_perturbations, screen_structures
+from hframe_gym.identification.propose.screening import (
+    candidate_perturbations,
+    perturbed_machines,
+    screen_structures,
+)
 from hframe_gym.machine import Machine
 from hframe_gym.recordings import Recording
 
@@ -88,7 +92,8 @@ def test_response_predicts_the_simulation_with_a_small_effect(
     data = prepare([recorded(axis)], axis)
     run, fraction = data.runs[0], 1e-3
     motion = predict(axis, run, SIMULATION, period=data.period, states=True)
-    perturbation = candidate_perturbations(axis, [candidate(name, site, **column)], run, motion)
+    candidates = [candidate(name, site, **column)]
+    perturbation = candidate_perturbations(axis, perturbed_machines(axis, candidates), run, motion)
     perturbed = predict(
         axis,
         run,
@@ -108,7 +113,8 @@ def test_response_predicts_the_simulation_with_a_small_effect(
 def test_columns_of_several_candidates_keep_their_order(axis: Machine) -> None:
     data = prepare([recorded(axis)], axis)
     motion = predict(axis, data.runs[0], SEARCH_BANDWIDTH, period=data.period, states=True)
-    perturbation = candidate_perturbations(axis, CANDIDATES, data.runs[0], motion)
+    perturbed = perturbed_machines(axis, CANDIDATES)
+    perturbation = candidate_perturbations(axis, perturbed, data.runs[0], motion)
     np.testing.assert_allclose(perturbation.force[0], 0.1)
     viscous = axis.coordinates[0].viscous
     np.testing.assert_allclose(
