@@ -84,8 +84,7 @@ def start_displacements(machine: Machine, initial: Sequence[InitialState]) -> li
         velocities (m/s, rad/s), states of the effects (SI), shape (displacements, 2 * coordinates + effect states).
     """
     count, spreads = len(machine.coordinates), effect_state_spreads(machine)
-    of_effects = np.pad(np.diag(spreads)[spreads > 0.0], ((0, 0), (2 * count, 0)))
-    swinging = np.pad(_added_displacements(machine), ((0, 0), (0, len(spreads))))
+    of_effects, swinging = np.diag(spreads)[spreads > 0.0], _added_displacements(machine)
     # The typical stretch depends on the machine, and on whether the run begins in motion.
     angles = {
         moving: stretch_angles(machine, moving=moving)
@@ -95,13 +94,14 @@ def start_displacements(machine: Machine, initial: Sequence[InitialState]) -> li
     for state in initial:
         positions = _position_displacements(machine, state, angles[len(state.velocity_deviations) > 0])
         velocities = _velocity_displacements(machine, state)
-        blocks = (
-            np.pad(positions, ((0, 0), (0, count + len(spreads)))),
-            np.pad(velocities, ((0, 0), (count, len(spreads)))),
-            of_effects,
-            swinging,
-        )
-        displacements.append(np.vstack(blocks))
+        # Columns: positions, velocities, states of effects.
+        blocks = ((positions, 0), (velocities, count), (of_effects, 2 * count), (swinging, 0))
+        table = np.zeros((sum(len(block) for block, _ in blocks), 2 * count + len(spreads)))
+        row = 0
+        for block, column in blocks:
+            table[row : row + len(block), column : column + block.shape[1]] = block
+            row += len(block)
+        displacements.append(table)
     return displacements
 
 
