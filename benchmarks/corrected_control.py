@@ -45,7 +45,7 @@ from hframe_gym.evaluation import BANDS, BOUND_BAND, mean_with_interval, settlin
 from hframe_gym.identification import identify, write_result
 from hframe_gym.machine import Machine
 from hframe_gym.recordings import load_machine
-from tests.rigs.cases import cases
+from tests.rigs.cases import select_cases
 from tests.rigs.recording_sessions import DEFAULT_FOLDER, Session, record
 from tools.command_line import command_line
 from tools.repository import RESULTS
@@ -273,12 +273,16 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=EPISODES)
     parser.add_argument("--seeds", type=int, nargs="+", default=list(AGENTS), help="seeds of the agents")
     arguments = parser.parse_args()
+    try:
+        rigs = {case.name: case for case in select_cases(arguments.rigs)}
+    except ValueError as error:
+        parser.error(str(error))
     file = RESULTS / "corrected_control.json"
     previous = json.loads(file.read_text()) if file.is_file() else {"rigs": {}}
     comparable = all(previous.get(key) == getattr(arguments, key) for key in ("episodes", "seeds"))
     rows = {name: row for name, row in previous["rigs"].items() if comparable}
-    for name in arguments.rigs:
-        session = record(cases()[name], Path(DEFAULT_FOLDER))
+    for name, case in rigs.items():
+        session = record(case, Path(DEFAULT_FOLDER))
         row = compare_machines(session, arguments.controllers, arguments.episodes, arguments.seeds)
         rows[name] = rows.get(name, {}) | row
         print(f"{name}: identified {', '.join(row['found']) or 'nothing'}", flush=True)

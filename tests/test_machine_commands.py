@@ -18,8 +18,9 @@ import jsonschema
 import pytest
 
 from hframe_gym import cli
+from hframe_gym.errors import InputError
 from hframe_gym.machine import BUILTIN_MACHINES
-from hframe_gym.recordings import load_machine, machine_to_dict, save_machine
+from hframe_gym.recordings import MachineOptions, load_machine, machine_to_dict, new_machine, save_machine
 
 pytestmark = pytest.mark.integration
 
@@ -257,6 +258,13 @@ def test_sensors_that_are_chosen_may_be_the_only_ones(
     answers = machine_questions.ask(machine_questions.MachineAnswers("axis", tmp_path / "m.json"), print)
     sensors = machine_questions.new_machine("axis", "m", answers.options()).sensors
     assert [(s.channel, s.kind) for s in sensors] == [("x_m_s", "speed"), ("motor_A", "current")]
+
+
+@pytest.mark.parametrize("sensors", [("speed@x", "speed@x"), ("speed@x", "laser@x")])
+def test_a_sensor_is_given_once(sensors: tuple[str, ...]) -> None:
+    twin = "x_m_s" if sensors[1] == "speed@x" else "x_m"
+    with pytest.raises(InputError, match=f"^--sensor {sensors[1]}: {twin} is this sensor already; give each"):
+        new_machine("axis", "m", MachineOptions(sensor=sensors))
 
 
 def test_accepted_defaults_give_the_template_to_the_last_digit(

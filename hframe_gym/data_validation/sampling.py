@@ -30,7 +30,7 @@ from ..identification.fit.voltage_updates import voltage_updates
 from ..identification.predict.prediction import SEARCH_BANDWIDTH
 from ..machine import Machine
 from ..preparation.belt_stretch import rigid_basis
-from ..recordings import GAP_PERIODS, Recording, repetitions
+from ..recordings import GAP_PERIODS, Recording, missing_rows, repetitions, usual_step
 from .findings import Finding, Severity
 
 _LONG_PERIOD = 0.2  # s; slower samples cannot record the motion of a machine
@@ -83,9 +83,10 @@ def check_sampling(recording: Recording) -> list[Finding]:
         )
         return [Finding("fault", recording.name, "time_s", message)]
     findings = []
-    period = float(np.median(steps))
-    gaps = steps > GAP_PERIODS * period
-    if gaps.any() and _late_stamps(recording.time_s, gaps):
+    period, usual = float(np.median(steps)), usual_step(recording.time_s)
+    gaps = missing_rows(recording.time_s) > 0
+    late = steps > GAP_PERIODS * period
+    if late.any() and _late_stamps(recording.time_s, late):
         rate = len(steps) / float(np.sum(steps))
         message = (
             "sampling is irregular: times are late by half a period or more, but no row is missing. If the samples "
@@ -94,7 +95,7 @@ def check_sampling(recording: Recording) -> list[Finding]:
         findings.append(Finding("advice", recording.name, "time_s", message))
         gaps[:] = True  # nothing more is said of the steps
     elif gaps.any():
-        lost = float(np.sum(steps[gaps]) - np.sum(gaps) * period)  # s
+        lost = float(np.sum(steps[gaps]) - np.sum(gaps) * usual)  # s
         duration = f"{lost:.3g} s" if lost >= 1.0 else f"{1e3 * lost:.3g} ms"
         message = (
             f"{int(gaps.sum())} gaps ({duration} in total, {100 * lost / np.sum(steps):.2g} %): samples were "
@@ -107,7 +108,13 @@ def check_sampling(recording: Recording) -> list[Finding]:
         )
         findings.append(Finding("advice", recording.name, "", message))
     jitter = float(np.std(steps[~gaps])) if not gaps.all() else 0.0
-    if jitter > _JITTER * period:
+    if usual > period:
+        message = (
+            f"rows are written as values arrive, at irregular times up to {1e3 * usual:.3g} ms apart: inputs hold "
+            "until the next row. If they change in between, log at a fixed rate"
+        )
+        findings.append(Finding("advice", recording.name, "time_s", message))
+    elif jitter > _JITTER * period:
         severity: Severity = "advice" if jitter > _IRREGULAR * period else "note"
         message = f"sampling is irregular, {1e3 * period:.4g} ms with a jitter of {1e3 * jitter:.2g} ms"
         findings.append(Finding(severity, recording.name, "time_s", message))

@@ -38,7 +38,7 @@ _NEAR_UNIT = 1.5
 _CONTRADICTION = 4.0
 # Factor between measured and expected, beyond that of a unit, that a machine file may cause.
 _UNIT_TOLERANCE = 2.0
-_CAUSE = "is its unit or gain wrong?"
+_CAUSE = "is its unit or gain wrong, or are the file's masses and motor constants guesses?"
 _LESS_VOLTAGE = "is it blocked, or does less than the recorded voltage act (amplifier limit, emergency stop)?"
 # Suspected unit by the unit of the channel: value per m or rad, and its name.
 _SUSPECTS = {
@@ -238,8 +238,10 @@ def _describe_factor(factor: float, suspect: tuple[float, str] | None, unit: str
     """Return a sentence about a channel that moves faster or slower than simulated."""
     if not suspect:
         if factor < 1:
-            return f"moves at {factor:.2g} of the simulated speed: {_CAUSE[:-1]}, {_LESS_VOLTAGE}"
-        return f"moves {factor:.3g} times as fast as the machine simulates: {_CAUSE}"
+            slower = f"{float(f'{1 / factor:.2g}'):,.{0 if factor < 0.1 else 1}f}"
+            cause = f"{_CAUSE[:-1]}, {_LESS_VOLTAGE}"
+            return f"moves {slower} times slower than a simulation with the machine file: {cause}"
+        return f"moves {factor:.3g} times as fast as a simulation with the machine file: {_CAUSE}"
     value, name = suspect
     speed = f"{factor:.3g} times as fast as" if factor > 1 else f"{1 / factor:.3g} times slower than"
     where = f" in all {len(data.runs)} runs" if len(data.runs) > 1 else ""

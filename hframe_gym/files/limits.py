@@ -26,7 +26,8 @@ MAX_DOCUMENT = (
 # rig at rest reach about 25; archives that are made to fill the memory reach 1000.
 MAX_EXPANSION = 100
 FREE_EXPANSION = 64 << 20  # bytes that any compressed file may expand to
-MAX_LINE = 1 << 16  # characters of a line of a table
+# Characters of a line of a table, as many as are read at once to recognize its format: 3000 columns of 20 characters.
+MAX_LINE = 1 << 16
 MAX_VALUES = 1_000_000_000  # numbers of a table: 8 GB, two hours at 10 kHz with 13 columns
 
 
@@ -52,7 +53,8 @@ def refuse_long_line(path: Path, length: int) -> None:
     """Raise an InputError if a line of so many characters is too long (`MAX_LINE`) for a row of a table of numbers."""
     if length >= MAX_LINE:
         raise InputError(
-            f"{path}: has a line of more than {MAX_LINE - 1} characters; a table has a row for each time"
+            f"{path}: has a line of more than {MAX_LINE - 1} characters; a table has a row for each time. If each of "
+            "its lines is one quantity, transpose it; otherwise save fewer columns"
         )
 
 

@@ -260,7 +260,7 @@ _LONG = 5  # letters; a shorter word is recognized only if it stands alone: "pos
 # Words that say what a value is for. A set point is no measurement, a control error no position.
 _SET_POINT = (
     *("target", "setpoint", "set", "reference", "ref", "command", "commanded", "cmd"),
-    *("goal", "desired", "demand"),
+    *("goal", "desired", "demand", "action"),
     *("soll", "sollwert", "vorgabe", "consigne"),
 )
 _DEVIATION = ("error", "err", "deviation", "regelabweichung")

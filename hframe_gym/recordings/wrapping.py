@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..machine import Machine
-from .cleaning import GAP_PERIODS
+from .cleaning import missing_rows
 from .quantization import exact_quantum
 from .recording import Recording
 
@@ -138,7 +138,7 @@ def unwrapped(values: Array, modulus: float, time_s: Array) -> Array:
     if not len(changes):
         return result
     turns = np.rint(changes / modulus)
-    gaps = np.flatnonzero(steps > GAP_PERIODS * np.median(steps))
+    gaps = np.flatnonzero(missing_rows(time_s[measured]))
     motion = _speed_around(changes - modulus * turns, steps, gaps) * steps[gaps]
     turns[gaps] = np.rint((changes[gaps] - motion) / modulus)
     result[measured] -= modulus * np.concatenate([[0.0], np.cumsum(turns)])

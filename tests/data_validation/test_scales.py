@@ -84,7 +84,15 @@ def test_a_unit_far_from_any_gain_is_a_fault_if_inertia_and_friction_agree(facto
 def test_a_factor_of_no_unit_is_advice() -> None:
     [advice] = of_channel(check_before_fit(motor_runs(15.0), motor()), "angle_rad")
     assert advice.severity == "advice"
-    assert advice.message.endswith("is its unit or gain wrong?")
+    assert (
+        "times as fast as a simulation with the machine file: is its unit or gain wrong, or" in advice.message
+    )
+
+
+@pytest.mark.parametrize(("factor", "slower"), [(0.06, "19 times slower"), (2.2e-4, "5,300 times slower")])
+def test_a_motion_that_hardly_follows_is_stated_in_plain_numbers(factor: float, slower: str) -> None:
+    [advice] = of_channel(check_before_fit(motor_runs(factor), motor()), "angle_rad")
+    assert advice.message.startswith(f"moves {slower} than a simulation with the machine file: is its unit")
 
 
 @pytest.mark.parametrize("clock", [10.0, 0.1])

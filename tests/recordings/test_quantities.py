@@ -135,7 +135,7 @@ IMPOSSIBLE = [
         {},
         "current_A is a current in A, and v_V is a voltage; map the voltage that was applied, or, if",
     ),
-    ("current_A", {"scales": {"v_V": 1.2}}, "the kind current and the channel current_A"),
+    ("current_A", {"scales": {"v_V": 1.2}}, "the kind current and the channel i_A"),
     ("current_A", {"units": {"v_V": "V"}}, "current_A is a current in A, and v_V is a voltage"),
     (
         "torque__[%]",

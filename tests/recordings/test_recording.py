@@ -16,6 +16,8 @@ from hframe_gym.recordings import (
     fill_gaps,
     load_recording,
     load_recordings,
+    missing_rows,
+    usual_step,
     write_recording,
     write_trajectory,
 )
@@ -217,6 +219,32 @@ def test_a_run_without_lost_rows_is_returned_unchanged() -> None:
     assert fill_gaps(run) is run
     single = Recording("r", time[:1], np.zeros((1, 2)), np.zeros((1, 4)))
     assert fill_gaps(single) is single
+
+
+def test_a_log_of_events_lacks_no_rows() -> None:
+    """Rows are written as values of several messages arrive, each with its own rate: no step is the period."""
+    rng = np.random.default_rng(0)
+    clocks = [
+        np.arange(phase, 20.0, period)
+        for phase, period in ((0.0, 0.05), (0.001, 0.05), (0.012, 0.05), (0.02, 0.033))
+    ]
+    time = np.unique(np.concatenate([t + rng.uniform(0.0, 5e-3, len(t)) for t in clocks]))
+    steps = np.diff(time)
+    assert np.mean(steps > 1.5 * np.median(steps)) > 0.2
+    assert np.mean(missing_rows(time) > 0) < 0.01
+    # A pause is a gap all the same, of rows as far apart as the usual ones.
+    pause = np.concatenate([time, time[-1] + 1.0 + time])
+    assert missing_rows(pause)[len(time) - 1] == pytest.approx(1.0 / usual_step(time), abs=2)
+
+
+@pytest.mark.parametrize("kept", [0.97, 0.9])
+def test_a_clock_lacks_the_rows_that_were_dropped(kept: float) -> None:
+    time = np.arange(5000) * 1e-3
+    rng = np.random.default_rng(0)
+    recorded = time[rng.random(5000) < kept]
+    jittered = recorded + rng.uniform(-2e-4, 2e-4, len(recorded))
+    assert usual_step(jittered) == pytest.approx(1e-3, rel=0.1)
+    assert missing_rows(jittered).sum() == pytest.approx(5000 - len(recorded), rel=0.02)
 
 
 def test_filled_gaps_predict_the_motion_better_than_inputs_held_over_the_gap(hframe: Machine) -> None:

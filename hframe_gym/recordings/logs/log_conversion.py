@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ...arrays import Array
 from ...errors import InputError
 from ...machine import Machine
-from ..cleaning import GAP_PERIODS
+from ..cleaning import missing_rows, usual_step
 from ..quantization import exact_quantum
 from ..recording import Recording, recording_from_columns
 from ..tables.table_file import refuse_decreasing_times
@@ -355,14 +355,13 @@ def _without_false_gaps(
     time_s: Array, columns: dict[str, Array], tables: Sequence[Array]
 ) -> tuple[Array, dict[str, Array]]:
     """Insert empty rows where merged rows are unevenly spaced although no table lacks rows, so that no gap is seen."""
-    steps = np.diff(time_s)
-    period = float(np.median(steps)) if len(steps) else 0.0
-    uneven = np.flatnonzero(steps > GAP_PERIODS * period)
+    steps, period = np.diff(time_s), usual_step(time_s)
+    uneven = np.flatnonzero(missing_rows(time_s))
     for times in tables:
         own = np.diff(times)
         if len(own):
             step = np.searchsorted(times, time_s[uneven], "right") - 1
-            lost = own[np.clip(step, 0, len(own) - 1)] > GAP_PERIODS * np.median(own)
+            lost = missing_rows(times)[np.clip(step, 0, len(own) - 1)] > 0
             uneven = uneven[~(lost & (step >= 0) & (step < len(own)))]
     counts = np.rint(steps[uneven] / period).astype(int) - 1
     uneven, counts = uneven[counts <= _MOST_INSERTED], counts[counts <= _MOST_INSERTED]

@@ -18,7 +18,7 @@ from ...arrays import Array
 from ...errors import InputError, name_runs
 from ...files import output_batch, output_folder, read_document, read_json
 from ...machine import Machine
-from ..cleaning import GAP_PERIODS
+from ..cleaning import missing_rows, usual_step
 from ..recording import Recording, run_name, write_recording
 from ..tables.table_file import SUFFIXES
 from ..tables.text_reader import Progress, cumulative
@@ -348,12 +348,13 @@ def _clock_remarks(time_s: Array) -> list[str]:
     steps = np.diff(time_s)
     if len(steps) == 0:
         return [f"{len(time_s)} row"]
-    period = float(np.median(steps))
-    remarks = [f"{len(time_s)} rows, {time_s[-1] - time_s[0]:.4g} s at {1 / period:.4g} Hz"]
-    gaps = np.flatnonzero(steps > GAP_PERIODS * period)
+    period, usual = float(np.median(steps)), usual_step(time_s)
+    rate = f"{1 / period:.4g} Hz" if usual == period else f"irregular times, up to {1e3 * usual:.3g} ms apart"
+    remarks = [f"{len(time_s)} rows, {time_s[-1] - time_s[0]:.4g} s at {rate}"]
+    gaps = np.flatnonzero(missing_rows(time_s))
     if len(gaps):
         longest = gaps[np.argmax(steps[gaps])]
-        lost = float(np.sum(steps[gaps]) - len(gaps) * period)
+        lost = float(np.sum(steps[gaps]) - len(gaps) * usual)
         plural = "s" if len(gaps) > 1 else ""
         where = f"the longest {steps[longest]:.3g} s at time_s = {time_s[longest]:.6g}"
         remarks.append(f"{len(gaps)} gap{plural} in time, {lost:.3g} s lost in total, {where}")

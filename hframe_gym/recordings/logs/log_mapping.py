@@ -392,8 +392,11 @@ class _LogMapping:
             if len(columns) > 1
         ]
         problem = "; ".join(ambiguous) or f"no column is named like {', '.join(missing)}"
-        all_unused = len(unused) == len(self.log.columns) > 1
-        not_assigned = "all" if all_unused else headers_text(unused) or "none"
+        assigned = [column for column in self.log.columns if column not in unused]
+        if len(unused) > max(1, 2 * len(assigned)):  # rather than nearly the same list again
+            not_assigned = f"all but {headers_text(assigned)}" if assigned else "all"
+        else:
+            not_assigned = headers_text(unused) or "none"
         return (
             f"{self.log.path}: {problem}. Columns of the log: {headers_text(self.log.columns)}. "
             f"Not assigned: {not_assigned}. {self._channels_text()}. "

@@ -158,7 +158,7 @@ def _advice(machine: Machine, channel: str, column: Meaning) -> str:
 def _advice_about_commands(channel: str, column: Meaning) -> str:
     """Say how a machine with a current, torque or force as its input is described."""
     description = {
-        "current": "the kind current and the channel current_A",
+        "current": "the kind current and the channel i_A",
         "torque": "the kind torque and the channel torque_Nm",
         "force": "Ke 0, resistance 1, Kt 1, gear_ratio 1 and the channel force_N",
     }

@@ -569,6 +569,9 @@ def _further_sensor(machine: Machine, text: str) -> Sensor:
             f"--sensor {text}: {kind} is measured at a {component}, and {part!r} is none; {available}"
             f"{suggestion(part, parts)}"
         )
+    twin = next((s for s in machine.sensors if s.kind == kind and s.row == {part: 1.0}), None)
+    if twin is not None:
+        raise InputError(f"--sensor {text}: {twin.channel} is this sensor already; give each sensor once")
     ending = machine.sensor_unit(Sensor("", {part: 1.0}, kind=kind)).replace("^", "").replace("/", "_")
     channel = f"{part}_{ending}"
     if channel in machine.input_channels + machine.output_channels:
