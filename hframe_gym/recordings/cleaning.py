@@ -49,8 +49,9 @@ def usual_step(time_s: Array) -> float:
         time_s: Times of the rows, s, shape (n,).
 
     Returns:
-        The sampling period, the median step. A log of events has none: its rows are written when a value arrives, with
-        any step between them, and the last value holds until then. Its usual step is the 95th percentile.
+        Time, s: the sampling period, which is the median step. A log of events has none: its rows are written when a
+        value arrives, with any step between them, and the last value holds until then. Its usual step is the 95th
+        percentile.
     """
     steps = np.diff(time_s)
     if not len(steps):
@@ -61,7 +62,14 @@ def usual_step(time_s: Array) -> float:
 
 
 def missing_rows(time_s: Array) -> NDArray[np.int_]:
-    """Return how many rows are missing in each step of the times, shape (n - 1,); some in more than 1.5 usual steps."""
+    """Count the rows that are missing in each step, which is one of more than 1.5 usual steps (`usual_step`).
+
+    Args:
+        time_s: Times of the rows, s, shape (n,).
+
+    Returns:
+        Numbers of missing rows, shape (n - 1,).
+    """
     steps, usual = np.diff(time_s), usual_step(time_s)
     return np.where(steps > GAP_PERIODS * usual, np.rint(steps / usual) - 1, 0).astype(int)
 
