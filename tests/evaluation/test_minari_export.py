@@ -182,8 +182,8 @@ def test_what_cannot_be_exported_is_refused_and_nothing_is_written(
 
 
 def test_reference_scores_normalize_returns(datasets: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "REFERENCE_EPISODES", 16)  # a quarter: each export simulates them
-    scenario = Scenario(randomize="none", episodes=8, seed=3)
+    monkeypatch.setattr(module, "REFERENCE_EPISODES", 8)  # an eighth: each export simulates them
+    scenario = Scenario(randomize="none", episodes=4, seed=3)
     for name in ("random", "textbook-pid", "predictive"):
         export_dataset(name, scenario, datasets, reference=True)
     sets = [

@@ -8,6 +8,7 @@ import socket
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from typing import Any
 import pytest
 import typer
 
-from hframe_gym.agents import train, train_seeds
+from hframe_gym.agents import load_recipe, train, train_seeds
 from hframe_gym.agents.agent_files import refuse_unsigned
 from hframe_gym.cli.application import CommandWithChoices
 from hframe_gym.cli.options import RayOption
@@ -181,11 +182,14 @@ def test_seeds_in_processes_are_those_of_single_runs(tmp_path: Path) -> None:
     def ignore(line: str) -> None:
         pass
 
+    recipe = load_recipe("ppo", "reach")
+    few = {"n_steps": 16, "batch_size": 64}
+    recipe = replace(recipe, env=recipe.env | {"num_envs": 16}, algorithm=recipe.algorithm | few)
     options: dict[str, Any] = {"steps": 1, "randomize": "none", "log": ignore}
-    cards = train_seeds("ppo", seeds=(3, 5), out=tmp_path, jobs=2, show_curves=False, **options)
+    cards = train_seeds(recipe, seeds=(3, 5), out=tmp_path, jobs=2, show_curves=False, **options)
     assert sorted(cards) == [3, 5]
     first, second, alone = (tmp_path / name for name in ("seed_3", "seed_5", "single"))
-    single = train("ppo", seed=5, out=alone, **options)
+    single = train(recipe, seed=5, out=alone, **options)
     assert [row["final_error_mm"] for row in cards[5]["curve"]] == [
         row["final_error_mm"] for row in single["curve"]
     ]
@@ -195,7 +199,7 @@ def test_seeds_in_processes_are_those_of_single_runs(tmp_path: Path) -> None:
         refuse_unsigned(folder / "checkpoint.zip")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["seed_3", "seed_5", "single"]
     with pytest.raises(InputError, match="seeds 1, 1: one is given twice"):
-        train_seeds("ppo", seeds=(1, 1), out=tmp_path, **options)
+        train_seeds(recipe, seeds=(1, 1), out=tmp_path, **options)
 
 
 @pytest.mark.integration
