@@ -29,7 +29,7 @@ import hframe_gym.cli as cli
 entry._SECONDS_TO_CLEAN_UP = 0.3
 def run(words, **options):
 {body}
-cli.app = run
+cli._command = lambda: run
 entry.main()
 """
 SLEEP = "    print('ready', flush=True)\n    time.sleep(60)"
