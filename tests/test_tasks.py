@@ -24,11 +24,13 @@ def commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     (tmp_path / "agents").mkdir()
     ran: list[str] = []
 
-    def record(words: list[str], cwd: Path) -> SimpleNamespace:
+    def record(words: list[str], cwd: Path, env: dict[str, str]) -> SimpleNamespace:
         assert cwd == tmp_path
+        assert env == {name: os.environ[name] for name in os.environ if name != "PYTHONDONTWRITEBYTECODE"}
         ran.append(" ".join([Path(words[0]).stem, *words[1:]]))
         return SimpleNamespace(returncode=3 if "ruff" in words[0] else 0)
 
+    monkeypatch.setenv("PYTHONDONTWRITEBYTECODE", "1")
     monkeypatch.setattr(subprocess, "run", record)
     monkeypatch.setattr(tasks.venv, "create", lambda folder, with_pip: (folder / "bin").mkdir(parents=True))
     monkeypatch.setattr(tasks, "ROOT", tmp_path)

@@ -34,7 +34,11 @@ def run(program: str, *words: str) -> None:
         SystemExit: With the exit code of the program, if it is not 0.
     """
     print(subprocess.list2cmdline([program, *words]), flush=True)
-    code = subprocess.run([f"{PROGRAMS / program}{SUFFIX}", *words], cwd=ROOT).returncode
+    # The installation leaves modules uncompiled. With this variable, every process would compile what it imports again:
+    # `import torch` takes 4 s instead of 2 s.
+    environment = {name: text for name, text in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    command = [f"{PROGRAMS / program}{SUFFIX}", *words]
+    code = subprocess.run(command, cwd=ROOT, env=environment).returncode
     if code:
         raise SystemExit(code)
 

@@ -148,8 +148,8 @@ def _last_line(error: BaseException) -> str:
 
 
 def _contents(folder: Path) -> dict[str, tuple[int, int]]:
-    """Return time of change and size of every file in a folder by its path."""
-    files = [path for path in folder.rglob("*") if path.is_file()]
+    """Return time of change and size of every file in a folder by its path, without compiled modules."""
+    files = [path for path in folder.rglob("*") if path.is_file() and path.parent.name != "__pycache__"]
     return {str(path.relative_to(folder)): (path.stat().st_mtime_ns, path.stat().st_size) for path in files}
 
 

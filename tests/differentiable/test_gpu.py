@@ -1,8 +1,7 @@
-"""A learner on a GPU, stages on the processor: run where torch or JAX finds a GPU."""
+"""A learner on a GPU, stages on the processor: run where torch finds a GPU."""
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 import torch
 
@@ -33,21 +32,3 @@ def test_gradients_reach_a_policy_on_the_gpu():
         return policy.grad.cpu()
 
     torch.testing.assert_close(gradient("cuda"), gradient("cpu"), rtol=1e-9, atol=0.0)
-
-
-def test_jax_calls_stages_from_a_program_on_the_gpu():
-    jax = pytest.importorskip("jax")
-    if jax.default_backend() != "gpu":
-        pytest.skip("JAX finds no GPU")
-    from hframe_gym.differentiable import JaxStage
-
-    with jax.enable_x64(True):
-        stage = JaxStage(MACHINE)
-        voltages = np.random.default_rng(0).uniform(-6.0, 6.0, (8, 10, 2))
-
-        def cost(voltages):
-            return (stage.rollout(stage.rest(batch=8), voltages)[:, -1, :2] ** 2).sum()
-
-        on_gpu = jax.jit(jax.grad(cost))(jax.device_put(voltages, jax.devices("gpu")[0]))
-        on_cpu = jax.jit(jax.grad(cost))(jax.device_put(voltages, jax.devices("cpu")[0]))
-    np.testing.assert_array_equal(on_gpu, on_cpu)
