@@ -305,14 +305,17 @@ def starting_values(machine: Machine, data: Dataset) -> list[tuple[Machine, tupl
 
     Returns:
         Machines with these values in place of the declared ones, and for each the constant forces of its balance; none
-        if the runs determine no motion.
+        if the runs determine no motion. The machine as declared where the balance shows neither inertia nor viscous
+        friction, as where each run has a constant speed: a simulation, which begins at rest, shows both.
     """
     R = leading_motions(machine)
     measured, runs = _with_positions(machine, data.runs)
     found: list[tuple[Machine, tuple[AppliedEffect, ...]]] = []
+    moves = False
     for span in _SPANS if len(R) else ():
         windows = [motion_windows(r, comparison_window(r.outputs, r.time_s, span)) for r in runs]
         coefficients = _balance(measured, R, windows, span)
+        moves = moves or coefficients is not None
         if coefficients:
             names = {k: machine.coordinate_names[int(np.argmax(np.abs(R[k]) > 0.0))] for k in coefficients}
             offsets = {names[k]: -offset for k, (*_, offset) in coefficients.items()}
@@ -321,7 +324,7 @@ def starting_values(machine: Machine, data: Dataset) -> list[tuple[Machine, tupl
             present = {e.label for e in machine.effects}
             added = tuple(e for e in forces if e.label not in present)
             found.append((_with_coefficients(machine, R, known), added))
-    return found
+    return found or ([(machine, ())] if moves else [])
 
 
 def _with_positions(
@@ -344,22 +347,21 @@ def _with_positions(
 
 def _balance(
     machine: Machine, R: Array, windows: Sequence[MotionWindows], span: float
-) -> dict[int, tuple[float, float, float, float]]:
-    """Return inertia over the declared one, viscous and dry friction and offset, SI, by the index of the motion."""
+) -> dict[int, tuple[float, float, float, float]] | None:
+    """Return inertia over the declared one, viscous and dry friction and offset, SI, by motion; None if none moves."""
     mass = np.array([c.mass for c in machine.coordinates])
     declared = np.diag(R @ (mass[:, None] * R.T))
     as_measured = np.eye(len(machine.sensors)), np.eye(len(machine.drives))
+    determined = [e for e in force_equations(windows, machine, *as_measured, spring=False) if e.determined]
     found = {}
-    for equations in force_equations(windows, machine, *as_measured, spring=False):
-        if not equations.determined:
-            continue
+    for equations in determined:
         coefficients = _robust_nonnegative(equations.columns, equations.force)
         inertia, viscous, dry, above, below = map(float, coefficients[:5])
         dry = max(dry, _LEAST_FRICTION * float(np.sqrt(np.mean(equations.force**2))))
         least = _SHORTEST_TIME_CONSTANT * span * viscous / declared[equations.motion]
         if max(inertia, least) > 0.0:
             found[equations.motion] = (max(inertia, least), viscous, dry, above - below)
-    return found
+    return found if determined else None
 
 
 def _robust_nonnegative(columns: Array, values: Array) -> Array:

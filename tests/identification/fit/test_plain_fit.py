@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib
 import math
 from collections.abc import Mapping
 
 import numpy as np
 import pytest
 
+from hframe_gym.arrays import Array
 from hframe_gym.effects import EFFECTS
 from hframe_gym.errors import InputError
 from hframe_gym.identification import SelectionCriteria, identify, prepare
@@ -110,6 +112,24 @@ def test_runs_without_motion_have_no_plain_fit() -> None:
     outputs = NOISE * np.random.default_rng(0).normal(size=(len(time_s), len(machine.sensors)))
     still = Recording("run_01", time_s, np.zeros((len(time_s), 1)), outputs)
     assert plain_fit(machine, prepare([still], machine)) is None
+
+
+def test_runs_of_constant_speeds_are_fitted_from_the_declared_machine(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of a hoist whose runs have one speed each, the balance of forces shows a constant friction alone."""
+
+    def friction_alone(columns: Array, values: Array) -> Array:
+        return np.where(np.arange(columns.shape[1]) == 2, float(np.mean(np.abs(values))), 0.0)
+
+    module = importlib.import_module(plain_fit.__module__)
+    monkeypatch.setattr(module, "_robust_nonnegative", friction_alone)
+    true = axis(TRUE)
+    declared = axis({name: 2.0 * value for name, value in TRUE.items()})
+    plain = plain_fit(declared, prepare(measure(true), declared))
+    assert plain is not None
+    assert plain.machine.parameters["x.mass"] == pytest.approx(true.parameters["x.mass"], rel=0.02)
+    assert damping(plain.machine) == pytest.approx(damping(true), rel=0.02)
 
 
 def test_identification_starts_from_the_motion_where_the_file_is_wrong_by_a_factor() -> None:
