@@ -28,7 +28,7 @@ DRAG = EFFECTS["quadratic_drag"].at("x", c=4.0)
 SPRING = EFFECTS["cable_spring"].at("x", k=6.0, q0=0.05)
 STRIBECK = EFFECTS["stribeck_friction"].at("x", dF=3.0, vs=0.04)
 FRAME = EFFECTS["frame_resonance"].at("x", f0=19.0, zeta=0.05, r=0.05, s=0.8)
-DATA: Any = SimpleNamespace(count=COUNT, updates=1, has_voltage_errors=False)
+DATA: Any = SimpleNamespace(count=COUNT, updates=1, has_voltage_errors=False, updates_rejected={})
 
 
 def fit_with(*effects: AppliedEffect, chi2: float, free: int = 4, bandwidth: float = 0.0) -> Fit:
@@ -67,6 +67,7 @@ class Scripted:
         self.structures: list[list[Fit]] = []
         self.without: dict[str, Fit | None] = {}
         self.replacement: Fit | None = None
+        self.again: list[Fit] = []  # fits with effects that an earlier search selected
         self.lines: list[str] = []
         replaced: Mapping[str, Callable[..., Any]] = {
             "effect_force": lambda machine, effect, data: self.force.get(effect.label, 1.0),
@@ -78,7 +79,7 @@ class Scripted:
             "force_difference": lambda a, b, data: self.difference,
             "fit_with_model_error": lambda fitted, data: fitted,
             "with_probable_starts": lambda current, data, criteria: (current, data),
-            "require_updates": lambda current, data, criteria: None,
+            "other_updates": lambda current, data, criteria: None,
             "narrower_observer": lambda fitted, data: fitted,
             "continue_fit": lambda fitted, data, bandwidth: fit_with(
                 chi2=self.simulated, bandwidth=bandwidth
@@ -90,13 +91,14 @@ class Scripted:
             "unexplained_fraction": lambda current, trials: 1.0,
             "without_effect": lambda current, label, *rest, **more: self.without.get(label),
             "replacement_fit": lambda *arguments: self.replacement,
+            "fit_with_effects": lambda current, effects, data: self.again.pop(0),
         }
         for name, function in replaced.items():
             for module in (significance, forward_selection):
                 if hasattr(module, name):
                     monkeypatch.setattr(module, name, function)
 
-    def search(self, **criteria: float) -> EffectSearch:
+    def search(self, data: Any = DATA, **criteria: float) -> EffectSearch:
         """Return a search with changed criteria."""
         changed = dataclasses.replace(CRITERIA, **criteria)  # type: ignore[arg-type]
-        return EffectSearch(DATA, AXIS, changed, self.lines.append)
+        return EffectSearch(data, AXIS, changed, self.lines.append)

@@ -238,6 +238,27 @@ def test_the_judgment_of_a_search_that_ended_early_is_part_of_its_tests(
     assert "was not tested before the budget ended" in [entry.reason for entry in outcome.considered]
 
 
+def test_the_last_fits_of_what_passed_its_tests_are_no_tests(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The effect that was found passes its tests in time, and the fits to deliver both machines take longer."""
+    seconds = [0.0]
+
+    def slow(fitted: Fit, data: Dataset) -> Fit:
+        seconds[0] = stage_ends(AXIS).tests
+        spend()
+        return fitted
+
+    def progress(doing: str, spent: float, budget: float) -> None:
+        if doing == "comparing rivals":
+            seconds[0] = stage_ends(AXIS).search
+
+    monkeypatch.setattr(model_search, "fit_slow_log", slow)
+    budget = Budget(1.0, clock=lambda: seconds[0], progress=progress)
+    data = axis_runs(AXIS.with_effects(EFFECTS["current_limit"].at("motor", I=5.0)), rows=1500, volts=9.0)
+    outcome = search_effects.search_effects(AXIS, data, SelectionCriteria(), lambda line: None, budget=budget)
+    assert outcome.unfinished
+    assert [s.effect.label for s in outcome.selected] == ["current_limit@motor"]
+
+
 def test_each_iteration_of_a_fit_asks_the_budget() -> None:
     """A fit that needs several iterations ends within a budget of one look at the clock."""
     data = axis_runs(AXIS, rows=500, volts=3.0)

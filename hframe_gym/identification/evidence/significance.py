@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +50,43 @@ _VARIABLES = {
 }
 _TABULATED = {"position", "speed", "time"}  # variables of tables (`search.tables.table_variables`)
 _NOISE_S = 0.05  # s; longer than the correlation of a sensor's noise
+
+
+class TestedFit:
+    """Fit of a machine with effects, and its fits with other observers and voltages, which the tests of each need.
+
+    They are computed once, when they are needed.
+
+    Attributes:
+        fitted: The fit.
+        data: Runs that were fitted.
+    """
+
+    __test__ = False  # no test of pytest
+
+    def __init__(self, fitted: Fit, data: Dataset) -> None:
+        self.fitted, self.data = fitted, data
+
+    @cached_property
+    def narrower(self) -> Fit:
+        """Fit with the next narrower observer."""
+        return narrower_observer(self.fitted, self.data)
+
+    @cached_property
+    def likeliest(self) -> Fit:
+        """Fit with the most likely observer."""
+        return fit_with_model_error(self.fitted, self.data)
+
+    @cached_property
+    def interpolation_change(self) -> float:
+        """Largest change of the cost by another interpolation of the voltages between the rows, refitted.
+
+        They may change once more or once less a row, on straight lines or on splines.
+        """
+        data, fitted = self.data, self.fitted
+        others = [data.with_updates(n) for n in (data.updates - 1, data.updates + 1) if n > 1]
+        others += [data.with_interpolation("straight"), data.with_interpolation("spline")]
+        return max(abs(continue_fit(fitted, other, fitted.bandwidth).cost - fitted.cost) for other in others)
 
 
 def depend_on_same_variable(first: AppliedEffect, second: AppliedEffect, machine: Machine) -> bool:
@@ -183,26 +221,30 @@ def _block_sums(rows: Array, size: int) -> Array:
     return np.asarray(np.add.reduceat(rows, np.arange(0, rows.shape[1], size), axis=1))
 
 
-def doubt_about_candidate(current: Fit, trial: Fit, data: Dataset, criteria: SelectionCriteria) -> str:
+def doubt_about_candidate(
+    current: Fit, trial: Fit, data: Dataset, criteria: SelectionCriteria, effect: AppliedEffect | None = None
+) -> str:
     """Return a reason why an effect may not exist although it reduces the error, or "" if it passes all tests.
 
     Args:
         current: Fit of the machine without the effect.
-        trial: Fit of the machine with the effect as the last entry of `machine.effects`. Both fits have the same
-            observer bandwidth (the observer corrects predictions by the measurements).
+        trial: Fit of the machine with the effect. Both fits have the same observer bandwidth (the observer corrects
+            predictions by the measurements).
         data: Runs that were fitted.
+        criteria: Decision thresholds.
+        effect: The effect. Default: the last one of the machine.
 
     Returns:
         Clause that follows "it ", such as "is not confirmed by runs that it was not fitted to", by
         `judge.effect.doubt_about_candidate`.
     """
-    return judge.doubt_about_candidate(
-        effect_evidence(current, trial, trial.machine.effects[-1], data), criteria
-    )
+    effect = effect or trial.machine.effects[-1]
+    evidence = effect_evidence(current, TestedFit(trial, data), effect)
+    return judge.doubt_about_candidate(evidence, criteria)
 
 
 def doubt_beside_others(
-    reduced: Fit, complete: Fit, effect: AppliedEffect, data: Dataset, criteria: SelectionCriteria
+    reduced: Fit, complete: TestedFit, effect: AppliedEffect, criteria: SelectionCriteria
 ) -> str:
     """Return a reason why an effect of a machine may not exist, given all other effects, or "" if it passes all tests.
 
@@ -210,25 +252,24 @@ def doubt_beside_others(
         reduced: Fit of the machine with all other effects.
         complete: Fit of the machine with all effects. Both fits have the same observer bandwidth (the observer corrects
             predictions by the measurements).
-        data: Runs that were fitted.
 
     Returns:
         Clause that follows "it ", such as "has no effect on the error", by `judge.effect.doubt_beside_others`.
     """
-    return judge.doubt_beside_others(effect_evidence(reduced, complete, effect, data), criteria)
+    return judge.doubt_beside_others(effect_evidence(reduced, complete, effect), criteria)
 
 
-def effect_evidence(without: Fit, with_effect: Fit, effect: AppliedEffect, data: Dataset) -> EffectEvidence:
+def effect_evidence(without: Fit, tested: TestedFit, effect: AppliedEffect) -> EffectEvidence:
     """Collect what the fitted runs say about an effect; numbers that take seconds are computed when they are needed.
 
     Args:
         without: Fit of the machine without the effect.
-        with_effect: Fit of the machine with it, at the same observer bandwidth.
-        data: Runs that were fitted.
+        tested: Fit of the machine with it, at the same observer bandwidth.
     """
+    with_effect, data = tested.fitted, tested.data
 
     def narrower() -> Chance:
-        return _chance(narrower_observer(without, data), narrower_observer(with_effect, data), effect, data)
+        return _chance(narrower_observer(without, data), tested.narrower, effect, data)
 
     return EffectEvidence(
         without=without.error,
@@ -239,22 +280,12 @@ def effect_evidence(without: Fit, with_effect: Fit, effect: AppliedEffect, data:
         chance=lambda: _chance(without, with_effect, effect, data),
         chance_narrower=None if has_narrowest_observer(with_effect, data) else narrower,
         forces=lambda: _forces(without, with_effect, effect, data),
-        forces_accurate=lambda: _forces(without, fit_with_model_error(with_effect, data), effect, data),
+        forces_accurate=lambda: _forces(without, tested.likeliest, effect, data),
         drives=lambda: drive_force(with_effect.machine, data),
         additions=lambda: _additions(without, with_effect, effect, data),
         parameters=parameter_values(effect.label, with_effect),
-        interpolation=(lambda: _interpolation_change(with_effect, data)) if data.updates > 1 else None,
+        interpolation=(lambda: tested.interpolation_change) if data.updates > 1 else None,
     )
-
-
-def _interpolation_change(fitted: Fit, data: Dataset) -> float:
-    """Return the largest change of the cost by another interpolation of the voltages between the rows, refitted.
-
-    They may change once more or once less a row, on straight lines or on splines.
-    """
-    others = [data.with_updates(n) for n in (data.updates - 1, data.updates + 1) if n > 1]
-    others += [data.with_interpolation("straight"), data.with_interpolation("spline")]
-    return max(abs(continue_fit(fitted, other, fitted.bandwidth).cost - fitted.cost) for other in others)
 
 
 def parameter_values(label: str, fitted: Fit) -> tuple[ParameterValue, ...]:

@@ -45,7 +45,7 @@ from scipy.signal import savgol_filter
 from ...arrays import Array
 from ...machine import Machine
 from ...preparation.dataset import Dataset, PreparedRecording
-from ..budget import spend
+from ..budget import goes_on, spend
 from ..judge.observer import simulates_runs_best
 from ..predict.free_parameters import bounded_step, prior_precision, values_at
 from ..predict.linearization import ResidualModel
@@ -72,6 +72,9 @@ _LONGEST_STEP = 0.5  # of theta, where the residual is not linear
 # Weights of the fit by instruments that are compared; more would not change its simulations.
 _WEIGHTS = (0.0, 0.25, 0.5, 0.75, 1.0)
 _CONVERGED = 1.0  # decrease of the cost: that of one standard deviation
+# Change of the voltages' delay between steps, standard deviations: less than its own error. It follows from a step of
+# delay and parameters together, so that it is known before these converge.
+_DELAY_CONVERGED = 0.5
 
 
 class _Whitening(NamedTuple):
@@ -136,7 +139,7 @@ class _Equations(NamedTuple):
         prior = block_diag(prior, 1.0)  # of the delay: one sampling period
         covariance = np.linalg.inv(self.information + prior)
         step = -covariance @ (self.gradient + prior @ np.append(theta, 0.0))
-        return ExcessDelay(float(step[-1]), math.sqrt(covariance[-1, -1]))
+        return ExcessDelay(float(step[-1]), math.sqrt(covariance[-1, -1]), theta)
 
     def covariance(self, prior: Array, theta: Array) -> Array:
         """Return the covariance of theta, shape (k - 1, k - 1), if the last parameter is the voltages' delay.
@@ -166,10 +169,12 @@ class ExcessDelay(NamedTuple):
     Attributes:
         periods: Delay, sampling periods; negative if they act earlier.
         deviation: Its standard deviation, sampling periods.
+        theta: Parameters at which it was estimated, shape (k,).
     """
 
     periods: float
     deviation: float
+    theta: Array
 
 
 class _Models(NamedTuple):
@@ -209,15 +214,15 @@ class _Models(NamedTuple):
         """Mask of the rows that have enough rows before them, for each run."""
         return [np.ones(len(run.time_s) - _ORDER, np.bool_) for run in self.measured.data.runs]
 
-    def linearize(self, theta: Array) -> list[_Linear]:
-        """Return the linearized residual of each run, and its instruments.
-
-        Differences are taken along the principal axes of the information, like those of the covariance.
-        """
+    def directions(self, theta: Array) -> Array:
+        """Return the principal axes of the information, like those of the covariance, shape (k, k)."""
         information = self.measured.linearize(theta).normal_equations.information
         if not np.isfinite(information).all():
             information = np.zeros_like(information)
-        directions = principal_directions(information, prior_precision(self.measured.free))
+        return principal_directions(information, prior_precision(self.measured.free))
+
+    def linearize(self, theta: Array, directions: Array) -> list[_Linear]:
+        """Return the linearized residual of each run, and its instruments, by differences along directions."""
         measured, smooth = (_differences(model, theta, directions) for model in self)
         return [
             _Linear(residual, jacobian, instruments)
@@ -250,9 +255,10 @@ def fit_slow_log(fitted: Fit, data: Dataset) -> Fit:
 
     Returns:
         Fit with the same observer. `fitted` itself if the voltages are held, the rows are too few, the steps do not
-        converge, or instruments do not simulate left-out runs better (`judge.observer.simulates_runs_best`).
+        converge, the time of a stage that must deliver is used up, or instruments do not simulate left-out runs better
+        (`judge.observer.simulates_runs_best`).
     """
-    if not data.has_voltage_errors or not _are_enough(data):
+    if not data.has_voltage_errors or not _are_enough(data) or not goes_on():
         return fitted
     weight = _weight_of_instruments(fitted, data)
     by_instruments = _by_instruments(fitted, data.without_voltage_errors()) if weight else None
@@ -270,6 +276,8 @@ def _weight_of_instruments(fitted: Fit, data: Dataset) -> float:
         if not known.runs or not others.runs or not _are_enough(known):
             return 0.0
         by_squares = continue_fit(fitted, known, fitted.bandwidth)
+        if not goes_on():  # then that fit did not converge
+            return 0.0
         by_instruments = _by_instruments(by_squares, known.without_voltage_errors())
         if by_instruments is None:
             return 0.0
@@ -284,7 +292,7 @@ def _between(by_squares: Fit, by_instruments: _Estimate, weight: float) -> _Esti
     return _Estimate(theta, by_squares.machine.replace(values_at(by_squares.free, theta)))
 
 
-def excess_delay(fitted: Fit, data: Dataset) -> ExcessDelay | None:
+def excess_delay(fitted: Fit, data: Dataset, start: ExcessDelay | None = None) -> ExcessDelay | None:
     """Estimate by instruments how much later the voltages act than the assumed number of their changes says.
 
     Voltages that change n times a row and are held between the changes act later than continuous ones by 1 / (2 n)
@@ -293,31 +301,52 @@ def excess_delay(fitted: Fit, data: Dataset) -> ExcessDelay | None:
     Args:
         fitted: Fit of a machine to these runs.
         data: Runs whose voltages change at least twice a row.
+        start: Result for another number of changes, whose parameters are the starting values. Default: those fitted.
 
     Returns:
-        Delay; None if the rows are too few, the parameters do not converge, or a prediction diverges.
+        Delay; None if the rows are too few, the delay does not converge, or a prediction diverges.
     """
     data = data.without_voltage_errors()
-    by_instruments = _by_instruments(fitted, data) if _are_enough(data) else None
-    if by_instruments is None:
+    if not _are_enough(data):
         return None
-    equations = _equations_with_delay(fitted, by_instruments.theta, data)
-    return None if equations is None else equations.delay(prior_precision(fitted.free), by_instruments.theta)
+    models, prior = _Models.of(fitted, data), prior_precision(fitted.free)
+    theta = fitted.theta if start is None else start.theta
+    used, directions, found = models.all_rows, models.directions(theta), None
+    for _ in range(_ROUNDS):
+        spend()
+        linear = _linear_with_delay(models, theta, directions)
+        if not _are_finite(linear):
+            return None
+        whitening, used = _whitening([of_run.residual for of_run in linear], used, models.sensors)
+        wide = block_diag(prior, 1.0)
+        equations = _normal_equations(linear, whitening, used, wide, models.rows_per_block)
+        before, found = found, equations.delay(prior, theta)
+        if before is not None and abs(found.periods - before.periods) < _DELAY_CONVERGED * found.deviation:
+            return found
+        theta = theta + _step(fitted, theta, equations.without_delay())[0]
+    return None
 
 
-def _equations_with_delay(fitted: Fit, theta: Array, data: Dataset) -> _Equations | None:
-    """Return the equations for the parameters and the voltages' delay; None if a prediction diverges."""
-    models = _Models.of(fitted, data)
-    linear = [
+def _linear_with_delay(models: _Models, theta: Array, directions: Array) -> list[_Linear]:
+    """Return the linearized residual of each run, with the voltages' delay as the last parameter."""
+    return [
         _Linear(
             of_run.residual,
             np.vstack([of_run.jacobian, by_delay]),
             np.vstack([of_run.instruments, smooth_by_delay]),
         )
         for of_run, by_delay, smooth_by_delay in zip(
-            models.linearize(theta), *(_delay_derivatives(model, theta) for model in models), strict=True
+            models.linearize(theta, directions),
+            *(_delay_derivatives(model, theta) for model in models),
+            strict=True,
         )
     ]
+
+
+def _equations_with_delay(fitted: Fit, theta: Array, data: Dataset) -> _Equations | None:
+    """Return the equations for the parameters and the voltages' delay; None if a prediction diverges."""
+    models = _Models.of(fitted, data)
+    linear = _linear_with_delay(models, theta, models.directions(theta))
     if not _are_finite(linear):
         return None
     whitening, used = _whitening([of_run.residual for of_run in linear], models.all_rows, models.sensors)
@@ -342,23 +371,30 @@ def _delay_derivatives(model: ResidualModel, theta: Array) -> list[Array]:
 
 
 def _by_instruments(fitted: Fit, data: Dataset) -> _Estimate | None:
-    """Fit a machine by instruments; None if the steps do not converge."""
+    """Fit a machine by instruments; None if the steps do not converge, or their time ends."""
     models, theta, prior = _Models.of(fitted, data), fitted.theta, prior_precision(fitted.free)
-    used = models.all_rows
+    used, directions = models.all_rows, models.directions(theta)
     for _ in range(_ROUNDS):
-        spend()
-        linear = models.linearize(theta)
+        if not goes_on():
+            return None
+        linear = models.linearize(theta, directions)
         if not _are_finite(linear):
             return None
         whitening, used = _whitening([of_run.residual for of_run in linear], used, models.sensors)
         equations = _normal_equations(linear, whitening, used, prior, models.rows_per_block)
-        slope = equations.gradient + prior @ theta
-        step = bounded_step(fitted.free, theta, equations.information + prior, slope)
-        step *= min(1.0, _LONGEST_STEP / max(float(np.abs(step).max()), 1e-300))
+        step, slope = _step(fitted, theta, equations)
         theta = theta + step
         if -float(slope @ step) < _CONVERGED:
             return _Estimate(theta, models.measured.machine_at(theta))
     return None
+
+
+def _step(fitted: Fit, theta: Array, equations: _Equations) -> tuple[Array, Array]:
+    """Return a step of the parameters within their limits, and the gradient of the cost with the prior."""
+    prior = prior_precision(fitted.free)
+    slope = equations.gradient + prior @ theta
+    step = bounded_step(fitted.free, theta, equations.information + prior, slope)
+    return step * min(1.0, _LONGEST_STEP / max(float(np.abs(step).max()), 1e-300)), slope
 
 
 def _are_finite(linear: Sequence[_Linear]) -> bool:

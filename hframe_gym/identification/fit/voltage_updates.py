@@ -3,8 +3,8 @@
 A controller that is faster than the log changes the voltages several times from one row to the next. The log does not
 say so, but the motion does: voltages that are held from row to row act late, by up to half a sampling period. A machine
 is therefore fitted with held voltages, then with voltages that are interpolated and change twice a row and, unless that
-gains little, three times and so on, while the error falls. If that reduces the error clearly, the changes are counted
-by the delay that instruments find (`slow_logs.excess_delay`).
+gains little, four, eight and sixteen times, while the error falls. If that reduces the error clearly, the changes are
+counted by the delay that instruments find (`slow_logs.excess_delay`).
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from ...machine import Machine
 from ...preparation.dataset import Dataset
 from ..judge.criteria import SelectionCriteria
 from ..judge.error import required_gain
@@ -29,6 +28,8 @@ from .slow_logs import excess_delay
 # Gain by any number of changes relative to that by two. Voltages that change n times a row act late by 1 / (2 n)
 # sampling periods: two changes remove half of the delay of held ones, and with it more than half of its squared error.
 _MOST_FURTHER_GAIN = 2.0
+# Changes a row: each acts late by half of what the one before does. Instruments count what lies between.
+_TRIALS = (2, 4, 8, 16)
 _MOST_UPDATES = 20  # a row; with more, voltages act earlier by less than a fortieth of a sampling period
 
 
@@ -59,20 +60,7 @@ class VoltageUpdates(NamedTuple):
         )
 
 
-class VoltagesChangeError(Exception):
-    """A search found that the voltages change more or less often between the rows than it assumed.
-
-    Attributes:
-        machine: Machine with the effects that were found before.
-        updates: How often the voltages change.
-    """
-
-    def __init__(self, machine: Machine, updates: VoltageUpdates) -> None:
-        super().__init__("the voltages change otherwise between the rows")
-        self.machine, self.updates = machine, updates
-
-
-def require_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> None:
+def other_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> VoltageUpdates | None:
     """Check how often the voltages change from one row to the next; an effect that was missing had a larger error.
 
     Args:
@@ -80,23 +68,23 @@ def require_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> 
         data: Runs (times, voltages, measurements, SI).
         criteria: Decision thresholds.
 
-    Raises:
-        VoltagesChangeError: If they change clearly more or less often than the predictions assume. An earlier search
-            that rejected that number holds unless it knew fewer effects, without which the count is wrong.
+    Returns:
+        The number of changes if it is clearly another one than the predictions assume, else None. An earlier search
+        that rejected that number holds unless it knew fewer effects, without which the count is wrong.
     """
     if not data.has_voltage_errors:
         updates = voltage_updates(fitted, data, criteria)
     else:
         excess = excess_delay(fitted, data)
         if excess is None or (excess.periods / excess.deviation) ** 2 < stats.chi2.isf(criteria.chance, 1):
-            return
+            return None
         per_row = count_updates(fitted, data)
         counted = continue_fit(fitted, data.with_updates(per_row), fitted.bandwidth)
         held = continue_fit(fitted, data.with_held_voltages(), SEARCH_BANDWIDTH)
         updates = VoltageUpdates(per_row, held.chi2, counted.chi2)
     rejected_with = data.updates_rejected.get(updates.per_row, -1)  # effects
-    if updates.per_row != data.updates and len(fitted.machine.effects) > rejected_with:
-        raise VoltagesChangeError(fitted.machine, updates)
+    is_other = updates.per_row != data.updates and len(fitted.machine.effects) > rejected_with
+    return updates if is_other else None
 
 
 def count_updates(fitted: Fit, data: Dataset) -> int:
@@ -122,8 +110,7 @@ def count_updates(fitted: Fit, data: Dataset) -> int:
             break
         # Where effects are missing, the estimate depends on the number itself, and the one beside may be better.
         for trial in dict.fromkeys((nearest, number + (1 if nearest > number else -1))):
-            changed = data.with_updates(trial)
-            found = excess_delay(continue_fit(fitted, changed, fitted.bandwidth), changed)
+            found = excess_delay(fitted, data.with_updates(trial), excess)
             if found is not None and abs(found.periods) < abs(excess.periods):
                 number, excess = trial, found
                 break
@@ -183,12 +170,12 @@ def successive_changes(data: Dataset) -> float:
 
 
 def _least_error(held: Fit, data: Dataset, promising: float) -> tuple[int, Fit]:
-    """Return the number of changes with the least error, and its fit; a fit with held voltages is given.
+    """Return which trial number of changes has the least error, and its fit; a fit with held voltages is given.
 
     More than two are tried only if two reduce chi-squared per sample by the promising gain.
     """
     best, per_row = held, 1
-    for trial in range(2, _MOST_UPDATES + 1):
+    for trial in _TRIALS:
         refitted = continue_fit(best, data.with_updates(trial), held.bandwidth)
         if not refitted.cost < best.cost or held.chi2 - refitted.chi2 < promising:
             break

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -297,11 +298,27 @@ def _replace(current: Fit, machine: Machine, scales: TypicalScales, data: Datase
     if (effect.definition.structure or effect.definition.tension) and current.bandwidth >= SEARCH_BANDWIDTH:
         declared = {f.name: f.center for f in current.free if not f.of_effect}
         machine = current.machine.replace(declared).with_effects(effect)
+    return _trial_fit(machine, *_all_free(machine, scales), current, data)
+
+
+def _all_free(machine: Machine, scales: TypicalScales) -> tuple[tuple[FreeParameter, ...], Array]:
+    """Return the default free parameters of a machine with effects, and theta at their present values."""
     free = list(default_free_parameters(machine, effects=False))
     for e in machine.effects:
         free += effect_parameters(e, machine, scales)
-    theta = np.array([f.theta(machine.parameters[f.name]) for f in free])
-    return _trial_fit(machine, tuple(free), theta, current, data)
+    return tuple(free), np.array([f.theta(machine.parameters[f.name]) for f in free])
+
+
+def fit_with_effects(current: Fit, effects: Sequence[AppliedEffect], data: Dataset) -> Fit:
+    """Add effects that were fitted before to a machine, and fit all until convergence.
+
+    Args:
+        current: Fit without the effects; the new one has the same observer bandwidth.
+        effects: The effects with their starting values, those that others need first.
+    """
+    machine = current.machine.with_effects(*effects)
+    trial = _trial_fit(machine, *_all_free(machine, typical_scales(current, data)), current, data)
+    return converge(trial, data, thorough=True)
 
 
 def _trial_fit(

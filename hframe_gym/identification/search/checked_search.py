@@ -15,13 +15,13 @@ from ...preparation.dataset import Dataset, with_known_positions
 from ...preparation.excerpt import LARGEST_FIT, NORMAL_SESSION, describe_part, representative_part
 from ..budget import SECOND_SEARCH_PART, Budget, stage_ends
 from ..evidence.held_out import contradicting_held_out_runs, held_out_gain, is_excited, worsens_simulation
-from ..evidence.tried_effects import Log
+from ..evidence.tried_effects import Log, SelectedEffect
 from ..fit.estimation import Fit, fit
 from ..fit.lost_voltages import held_over_gaps, with_lost_voltages
 from ..fit.plain_fit import PlainFit, better_start, plain_fit
 from ..fit.run_differences import find_run_differences
 from ..fit.start_estimation import refine_dataset
-from ..fit.voltage_updates import VoltagesChangeError, voltage_updates
+from ..fit.voltage_updates import voltage_updates
 from ..judge.criteria import SelectionCriteria
 from ..judge.held_out import HeldOutEffect, refuted_effects
 from ..judge.run import MIN_RUNS_COMPARED, differs_alone, exchanges_held_out
@@ -31,7 +31,7 @@ from ..predict.voltage_errors import with_voltage_errors
 from ..propose.trial_fits import without_effect
 from .input_timing import with_input_timing
 from .model_search import fitted_to_all_rows
-from .outcome import SearchOutcome, with_removed
+from .outcome import SearchOutcome, VoltagesChangeError, with_removed
 from .search_effects import search_effects
 
 _CONTRADICTION = (
@@ -189,6 +189,7 @@ def _search_and_check(
     updates, known = voltage_updates(refitted, data, criteria), machine
     search = partial(_search, machine, refitted=refitted, criteria=criteria, log=log, budget=budget)
     rejected: dict[int, int] = {}
+    selected: tuple[SelectedEffect, ...] = ()  # by a search that assumed other voltages
     while True:
         fitted, validation, messages = data, held_out, (*unused, *excluded)
         if updates.per_row > 1:
@@ -211,11 +212,11 @@ def _search_and_check(
             )
         before_search(plain, fitted, validation)
         try:
-            found = search(fitted, validation, complete, plain)._replace(messages=messages)
+            found = search(fitted, validation, complete, plain, selected)._replace(messages=messages)
             return found if different is None else found.without_run(different)
         except VoltagesChangeError as change:
             rejected[updates.per_row] = len(change.machine.effects)
-            updates, known = change.updates, change.machine
+            updates, known, selected = change.updates, change.machine, change.selected
 
 
 def _different_run(
@@ -250,6 +251,7 @@ def _search(
     held_out: Dataset,
     all_rows: Dataset | None,
     plain: PlainFit | None,
+    selected: tuple[SelectedEffect, ...],
     *,
     refitted: Fit,
     criteria: SelectionCriteria,
@@ -275,6 +277,7 @@ def _search(
         budget=budget,
         ends=stage_ends(machine, in_part=all_rows is not None),
         refitted=known,
+        known=selected,
     )
     if all_rows is not None:
         agreeing = all_rows.with_runs([r.name for r in all_rows.runs if r.name != outcome.contradiction])

@@ -15,7 +15,7 @@ import math
 
 from ...machine import Machine
 from ...preparation.dataset import Dataset
-from ..budget import note_error
+from ..budget import note_error, spend
 from ..evidence.rivals import (
     close_rivals,
     compare_rivals,
@@ -24,7 +24,7 @@ from ..evidence.rivals import (
     selected_first,
     simplest_first,
 )
-from ..evidence.significance import doubt_about_candidate, doubt_beside_others, long_run_variance
+from ..evidence.significance import TestedFit, doubt_about_candidate, doubt_beside_others, long_run_variance
 from ..evidence.tried_effects import ConsideredEffect, Log, SelectedEffect, Selection, Step
 from ..fit.estimation import Fit, describe_gain
 from ..fit.model_error import (
@@ -35,7 +35,7 @@ from ..fit.model_error import (
     narrower_observer,
 )
 from ..fit.start_estimation import with_probable_starts
-from ..fit.voltage_updates import require_updates
+from ..fit.voltage_updates import other_updates
 from ..judge import trial as judge
 from ..judge.criteria import SelectionCriteria
 from ..judge.error import is_enough, nearly_explains, only_noise_is_left, required_gain
@@ -45,12 +45,14 @@ from ..predict.prediction import SIMULATION
 from ..propose.trial_fits import (
     best_error,
     converge,
+    fit_with_effects,
     indistinguishable,
     replacement_fit,
     structural_trial_fits,
     trial_fits,
     without_effect,
 )
+from .outcome import VoltagesChangeError
 
 
 class EffectSearch:
@@ -107,8 +109,8 @@ class EffectSearch:
             Fit of the machine with all effects, and all selected effects with their fitted parameters.
 
         Raises:
-            VoltagesChangeError: If the voltages of the runs are held, and the machine with a selected effect shows that
-                they change between the rows.
+            VoltagesChangeError: If the machine with a selected effect shows that the voltages change more or less often
+                between the rows than the predictions assume.
         """
         criteria = self._criteria
         current, self.data = with_probable_starts(current, self.data, criteria)
@@ -123,17 +125,77 @@ class EffectSearch:
                 break
             best, selected = extended
             self.reached = best, selected
-            require_updates(best, self.data, criteria)
-            current, selected = self._exchange(fit_with_model_error(best, self.data), selected)
-            if judge.is_worth_comparing_rivals(current.error, criteria):
-                likely, others = self.settle_rivals(current, selected)
-                if likely is not current:
-                    current, selected = fit_with_model_error(likely, self.data), others
+            if updates := other_updates(best, self.data, criteria):
+                raise VoltagesChangeError(best.machine, selected, updates)
+            current, selected = self._settled(best, selected, selected[:-1])
             current, self.data = with_probable_starts(current, self.data, criteria)
             note_error(current.chi2)
         for s in selected:
             self.considered.pop(s.effect.label, None)
         return current, tuple(s.with_values(current.machine) for s in selected)
+
+    def start_with(self, current: Fit, known: tuple[SelectedEffect, ...]) -> Selection:
+        """Return the machine with effects that an earlier search selected, without those that do not pass here.
+
+        The earlier search assumed other voltages between the rows. Beside the others, each effect must reduce the error
+        by enough and pass the tests of a candidate, and gives way to another one that explains more.
+
+        Args:
+            current: Fit of the machine without these effects.
+            known: Effects in the order in which they were selected.
+
+        Returns:
+            Where `run` starts: the fit of the machine with the effects that passed, and these effects.
+        """
+        data = self.data
+        while known:
+            spend(f"fitting {', '.join(s.effect.label for s in known)} to other voltages between the rows")
+            complete = fit_with_effects(current, [s.effect for s in known], data)
+            again = {s.effect.label: s for s in known}
+            for s in sorted(known, key=lambda s: s.gain):
+                label = s.effect.label
+                reduced: Fit | None = current
+                if len(known) > 1:
+                    reduced = without_effect(complete, label, data, self._plain, thorough=False)
+                if reduced is None:  # another effect requires it
+                    continue
+                if not self._passes_again(label, reduced, complete):
+                    known = tuple(other for other in known if other is not s)
+                    break  # those that passed beside it may fail without it
+                gain = (reduced.cost - complete.cost) / data.count
+                again[label] = dataclasses.replace(s, gain=gain, machine_without=reduced.machine)
+            else:
+                selected = tuple(s.with_values(complete.machine) for s in again.values())
+                self.reached = complete, selected
+                # The last one won against all others, but held voltages are another machine than interpolated ones.
+                held_before = [*data.updates_rejected][-1:] == [1]
+                return self._settled(complete, selected, selected if held_before else selected[:-1])
+        return current, ()
+
+    def _passes_again(self, label: str, reduced: Fit, complete: Fit) -> bool:
+        """Return whether an effect of a machine passes the tests of a candidate beside the others, and log it."""
+        effect = next(e for e in complete.machine.effects if e.label == label)
+        enough = required_gain(reduced.error, self._criteria)
+        self._log(f"  {label} {describe_gain(reduced, complete)}")
+        if not is_enough(reduced.error, complete.error, enough):
+            self._log(f"  {label} is not selected: a reduction by {enough:.2g} is required")
+            return False
+        doubt = doubt_about_candidate(reduced, complete, self.data, self._criteria, effect)
+        if doubt:
+            self._log(f"  {label} is not selected: it {doubt}")
+            self.considered[label] = ConsideredEffect(effect, complete.machine, reduced.machine, doubt)
+        return not doubt
+
+    def _settled(
+        self, best: Fit, selected: tuple[SelectedEffect, ...], earlier: tuple[SelectedEffect, ...]
+    ) -> Selection:
+        """Return the machine at its most likely observer, after others took the place of earlier effects and rivals."""
+        current, selected = self._exchange(fit_with_model_error(best, self.data), selected, earlier)
+        if judge.is_worth_comparing_rivals(current.error, self._criteria):
+            likely, others = self.settle_rivals(current, selected)
+            if likely is not current:
+                return fit_with_model_error(likely, self.data), others
+        return current, selected
 
     def _extended(self, selected: tuple[SelectedEffect, ...], without: Fit, trials: list[Fit]) -> Selection:
         """Return the first trial fit, and the selected effects with its effect and the rivals among the others."""
@@ -159,7 +221,8 @@ class EffectSearch:
             return None
         best, extended = self._extended(extended, *found)
         reduced = without_effect(best, label, data, self._plain)
-        doubt = doubt_beside_others(reduced, best, extended[-2].effect, data, criteria) if reduced else ""
+        effect, tested = extended[-2].effect, TestedFit(best, data)
+        doubt = doubt_beside_others(reduced, tested, effect, criteria) if reduced else ""
         if doubt:
             self._log(f"  {label} is not selected: it {doubt}")
             return None
@@ -212,7 +275,9 @@ class EffectSearch:
         evidence = StructureEvidence(current.error, best_error(trials), remembers, *self._structures_failed)
         return judge.is_worth_structures(evidence, self._criteria)
 
-    def _exchange(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> Selection:
+    def _exchange(
+        self, current: Fit, selected: tuple[SelectedEffect, ...], earlier: tuple[SelectedEffect, ...]
+    ) -> Selection:
         """Replace earlier effects by others that explain the data better beside the later ones (recursively).
 
         The first effects are selected while others are still missing, and may represent a mixture of causes.
@@ -220,7 +285,7 @@ class EffectSearch:
         data, criteria = self.data, self._criteria
         if only_noise_is_left(current.error, criteria):
             return current, selected
-        for old in selected[:-1]:  # the last one has just won against all others
+        for old in earlier:
             reduced = without_effect(current, old.effect.label, data, self._plain, thorough=False)
             better = reduced and replacement_fit(current, reduced, old.effect.label, data, criteria)
             if reduced is None or better is None:
@@ -233,7 +298,7 @@ class EffectSearch:
             total = (reduced.cost - better.cost) / data.count
             new = SelectedEffect(effect, total, reduced.machine)
             others = tuple(s for s in selected if s is not old)
-            return self._exchange(fit_with_model_error(better, data), (*others, new))
+            return self._exchange(fit_with_model_error(better, data), (*others, new), others)
         return current, selected
 
     def _best(self, current: Fit, trials: list[Fit], enough: float) -> Fit | None:
@@ -333,12 +398,13 @@ class EffectSearch:
             The fit of the machine with the remaining effects (`current` if all remain), and these effects.
         """
         without: dict[str, Machine] = {}
+        tested = TestedFit(current, self.data)
         for candidate in sorted(selected, key=lambda s: s.gain):
             reduced = without_effect(current, candidate.effect.label, self.data, self._plain)
             if reduced is None:
                 continue
             without[candidate.effect.label] = reduced.machine
-            doubt = doubt_beside_others(reduced, current, candidate.effect, self.data, self._criteria)
+            doubt = doubt_beside_others(reduced, tested, candidate.effect, self._criteria)
             if doubt:
                 self._log(f"  {candidate.effect.label} is removed: it {doubt}")
                 self.considered[candidate.effect.label] = ConsideredEffect(

@@ -43,6 +43,9 @@ from .forward_selection import EffectSearch
 from .outcome import SearchOutcome
 from .tables import add_tables, fit_with_moved_knots
 
+# Verdict, and why effects are removed; "" if they are not.
+Decision = tuple[Verdict, str]
+
 
 class Found(NamedTuple):
     """What a search found in the runs to which it fits.
@@ -68,6 +71,7 @@ class ModelSearch:
         log: Called with a line at each stage.
         refitted: Fit of the machine to these runs at `SEARCH_BANDWIDTH`, if it is known already.
         before: The same at the bandwidth that its remaining error requires.
+        known: Effects that a search with other voltages between the rows selected; they must pass again.
 
     Attributes:
         base: Machine refitted at `SEARCH_BANDWIDTH`.
@@ -85,7 +89,9 @@ class ModelSearch:
         log: Log,
         refitted: Fit | None = None,
         before: Fit | None = None,
+        known: tuple[SelectedEffect, ...] = (),
     ) -> None:
+        self._known = known
         self._data, self._criteria, self._log = data, criteria, log
         self._data_after = data  # with the initial states and zeros that follow from the machine with effects
         self._refinements: list[tuple[Fit, Fit]] = []  # pairs of a fit and the same refined, which takes long
@@ -111,7 +117,8 @@ class ModelSearch:
     def selection(self) -> Selection:
         """Machine with the effects that are selected one after the other; they are not yet tested beside each other."""
         self._log("searching for effects")
-        return self._first_search.run(self.before)
+        search, start = self._first_search, (self.before, ())
+        return search.run(*(search.start_with(self.before, self._known) if self._known else start))
 
     def run(self, start: Selection | None = None) -> SearchOutcome:
         """Search for effects, then for tables if no known effects explain the residual.
@@ -153,12 +160,20 @@ class ModelSearch:
     def finished_early(self, tests: Budget, last_fit: Budget) -> SearchOutcome:
         """Return the outcome of what was selected when the budget ended, after the same tests beside each other.
 
-        The tests include the fits in simulation by which effects that leave an error are judged.
+        The tests include the fits in simulation by which effects that leave an error are judged. The last fits of what
+        they confirm are no tests: where their time ends, the best parameters so far are delivered.
 
         Args:
             tests: What is left of the budget for these tests.
-            last_fit: What is left of it for the last fit without effects, where these do not end.
+            last_fit: What is left of it for the last fits.
         """
+        found, decision = self._tested_early(tests)
+        with last_fit.limiting(delivers=True):
+            decision = decision or self._verdict(found)
+            return self._decide(decision, found)._replace(contradiction=self.suspect)
+
+    def _tested_early(self, tests: Budget) -> tuple[Found, Decision | None]:
+        """Return the effects that pass the tests, and the decision about them; none where the tests do not end."""
         search = self._searches[-1] if self._searches else None
         after, effects = (search and search.reached) or (self.before, ())
         untested: tuple[ConsideredEffect, ...] = ()
@@ -169,39 +184,44 @@ class ModelSearch:
                 with tests.limiting():
                     confirmed = search.prune(polish(after, search.data), effects)
                     self._data_after = search.data
-                    return self._early(
-                        self._within_limits(Found(*confirmed, tuple(search.considered.values())))
-                    )
+                    found = self._within_limits(Found(*confirmed, tuple(search.considered.values())))
+                    return found, self._verdict(found)
             except BudgetEndedError:
                 others = tuple(s for s in effects if s.effect.label not in search.considered)
                 untested = self._removed(after, others, "was not tested before the budget ended")
                 self._data_after = self._data
         rejected = (*untested, *(search.considered.values() if search else ()))
-        with last_fit.limiting(delivers=True):
-            return self._early(Found(self.before, (), rejected))
-
-    def _early(self, found: Found) -> SearchOutcome:
-        """Return the outcome of tested effects when no time is left for others or for tables."""
-        return (self._decided(found) or self._partial(found))._replace(contradiction=self.suspect)
+        return Found(self.before, (), rejected), None
 
     def _decided(self, found: Found) -> SearchOutcome | None:
         """Return the outcome if a table cannot change it: effects explain the data, or only imitate a drift."""
-        decision = verdict_of_effects(
-            bool(found.effects), self._imitated_drift(found.fitted), lambda: self._explains(found.fitted)
-        )
+        decision = self._verdict_of_effects(found)
         return decision and self._decide(decision, found)
 
     def _partial(self, found: Found) -> SearchOutcome:
         """Return the outcome where an error remains that neither effects nor a table describe."""
-        decision = verdict_of_rest(
+        return self._decide(self._verdict_of_rest(found), found)
+
+    def _verdict(self, found: Found) -> Decision:
+        """Return the decision about effects where no time is left for others or for tables."""
+        return self._verdict_of_effects(found) or self._verdict_of_rest(found)
+
+    def _verdict_of_effects(self, found: Found) -> Decision | None:
+        """Return the decision if a table cannot change it (`_decided`)."""
+        return verdict_of_effects(
+            bool(found.effects), self._imitated_drift(found.fitted), lambda: self._explains(found.fitted)
+        )
+
+    def _verdict_of_rest(self, found: Found) -> Decision:
+        """Return the decision where an error remains (`_partial`)."""
+        return verdict_of_rest(
             bool(found.effects),
             lambda: self.runs_differ,
             lambda: self._partial_evidence(found.fitted),
             self._criteria,
         )
-        return self._decide(decision, found)
 
-    def _decide(self, decision: tuple[Verdict, str], found: Found) -> SearchOutcome:
+    def _decide(self, decision: Decision, found: Found) -> SearchOutcome:
         """Return the outcome of a decision: a verdict, and why effects are removed."""
         verdict, reason = decision
         if reason or not found.effects:
@@ -291,7 +311,8 @@ class ModelSearch:
         judged = next(
             (fitted for fitted, refined in self._refinements if refined is found.fitted), found.fitted
         )
-        before, after = (self._final(fitted) for fitted in (self.before, found.fitted))
+        after = self._final(found.fitted)  # first: the other one is for comparison
+        before = after if found.fitted is self.before else self._final(self.before)
         return SearchOutcome(
             before,
             self._explains(self.before),

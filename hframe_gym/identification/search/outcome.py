@@ -4,11 +4,29 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from ...machine import Machine
 from ...preparation.dataset import Dataset
 from ..evidence.tried_effects import ConsideredEffect, Log, SelectedEffect
 from ..fit.estimation import Fit
+from ..fit.voltage_updates import VoltageUpdates
 from ..judge.verdict import Verdict, verdict_after_removal
 from ..predict.prediction import SIMULATION
+
+
+class VoltagesChangeError(Exception):
+    """A search found that the voltages change more or less often between the rows than it assumed.
+
+    Attributes:
+        machine: Machine with the effects that were found before.
+        selected: These effects.
+        updates: How often the voltages change.
+    """
+
+    def __init__(
+        self, machine: Machine, selected: tuple[SelectedEffect, ...], updates: VoltageUpdates
+    ) -> None:
+        super().__init__("the voltages change otherwise between the rows")
+        self.machine, self.selected, self.updates = machine, selected, updates
 
 
 class SearchOutcome(NamedTuple):

@@ -9,7 +9,7 @@ from functools import cache
 from ...machine import Machine
 from ...preparation.dataset import Dataset
 from ..budget import Budget, BudgetEndedError, StageEnds, note_error, spend, stage_ends
-from ..evidence.tried_effects import Log, Selection
+from ..evidence.tried_effects import Log, SelectedEffect, Selection
 from ..fit.estimation import Fit, prediction_cost
 from ..fit.model_error import (
     continue_fit,
@@ -40,6 +40,7 @@ def search_effects(
     budget: Budget | None = None,
     ends: StageEnds | None = None,
     refitted: Fit | None = None,
+    known: tuple[SelectedEffect, ...] = (),
 ) -> SearchOutcome:
     """Refit a machine and search for the effects (deviations from the nominal model) that it lacks.
 
@@ -63,17 +64,18 @@ def search_effects(
             search ends by itself.
         ends: Parts of it after which search and tests end. Default: those of complete runs.
         refitted: Fit of the machine to these runs at `SEARCH_BANDWIDTH`, if it is known already.
+        known: Effects that a search with other voltages between the rows selected; they must pass again.
 
     Returns:
         Verdict, fits of the machine without and with the effects, and the selected and the rejected effects. If the
         budget ended: of what was selected until then, tested like everything else, without tables; without a suspect if
         that was found to explain the other runs, else in all runs. What there is no time to test is not selected.
     """
-    searches = [ModelSearch(machine, data, criteria, log, refitted)]
+    searches = [ModelSearch(machine, data, criteria, log, refitted, known=known)]
     budget, ends = budget or Budget(), ends or stage_ends(machine)
     try:
         with budget.limiting(ends.search):
-            return _search_with_suspect(searches, machine, data, criteria, log, confirmed)
+            return _search_with_suspect(searches, machine, data, criteria, log, confirmed, known)
     except BudgetEndedError:
         log(f"  {budget.reason} ({budget.doing}); what was found so far is tested")
     tests = budget.until(ends.tests)
@@ -93,6 +95,7 @@ def _search_with_suspect(
     criteria: SelectionCriteria,
     log: Log,
     confirmed: Confirmed | None,
+    known: tuple[SelectedEffect, ...],
 ) -> SearchOutcome:
     """Search as `search_effects` describes; a second search, without the suspect, is added to `searches`."""
     all_runs = searches[0]
@@ -108,9 +111,8 @@ def _search_with_suspect(
         return outcome if confirmed is None or confirmed(outcome) else in_all_runs()
 
     log(f"{suspect} differs most from the other runs; fitting these without it")
-    others = ModelSearch(
-        machine, data.with_runs([run.name for run in data.runs if run.name != suspect]), criteria, log
-    )
+    without = data.with_runs([run.name for run in data.runs if run.name != suspect])
+    others = ModelSearch(machine, without, criteria, log, known=known)
     others.suspect = suspect
     searches.append(others)
     if not others.needs_no_effect and all_runs.runs_differ:

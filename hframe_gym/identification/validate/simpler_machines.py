@@ -18,12 +18,11 @@ from ..budget import LAST_STAGE_END, Budget, BudgetEndedError
 from ..evidence.tried_effects import Log, SelectedEffect
 from ..fit.estimation import Fit, prediction_cost
 from ..fit.plain_fit import PlainFit, equally_weighted, refined_equally
-from ..fit.voltage_updates import VoltagesChangeError
 from ..judge.criteria import SelectionCriteria
 from ..judge.verdict import description_helps, forces_contradict, is_worse_than, needs_description
 from ..predict.prediction import SIMULATION
 from ..search.forward_selection import EffectSearch
-from ..search.outcome import without_names
+from ..search.outcome import VoltagesChangeError, without_names
 from .evaluation import Evaluated, HeldOutTest, with_certain_effects
 from .machine_errors import ModelEvaluation, error_ratio
 

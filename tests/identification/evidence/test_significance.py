@@ -11,8 +11,10 @@ import pytest
 
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
-from hframe_gym.identification import Dataset, prepare
+from hframe_gym.identification import Dataset, Fit, prepare
+from hframe_gym.identification.evidence import significance
 from hframe_gym.identification.evidence.significance import (
+    TestedFit,
     curves_of_one_variable,
     depend_on_same_variable,
     doubt_about_candidate,
@@ -29,6 +31,7 @@ from hframe_gym.machine import AppliedEffect, Uncertainty
 from hframe_gym.recordings import Recording
 from tests.identification.scripted_fits import (
     AXIS,
+    COUNT,
     CRITERIA,
     DATA,
     DRAG,
@@ -117,7 +120,7 @@ def test_no_effect_corrects_a_clock(scripted: Scripted) -> None:
     heat = EFFECTS["winding_heat"].at("motor", a=0.03, tau=10.0)
     scripted.force = {CLOCK.label: np.inf}
     both = fit_with(heat, CLOCK, chi2=1.1)
-    assert doubt_beside_others(fit_with(CLOCK, chi2=1.3), both, heat, DATA, CRITERIA) == ""
+    assert doubt_beside_others(fit_with(CLOCK, chi2=1.3), TestedFit(both, DATA), heat, CRITERIA) == ""
 
 
 def test_curves_of_one_variable_are_functions_of_it_alone_at_one_coordinate() -> None:
@@ -289,3 +292,21 @@ def test_what_an_effect_remembers_is_no_missing_force() -> None:
     lost = force_sizes.residue_force(without, hot)
     assert force_sizes.residue_force(fitted, cold) < 0.1 * lost
     assert force_sizes.residue_force(fitted, hot) < 0.1 * lost
+
+
+def test_the_tests_of_all_effects_of_a_machine_share_its_fits(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Voltages that change twice a row may change once more, on straight lines or on splines."""
+    costs = iter([105.0, 90.0, 103.0])
+    refits: list[object] = []
+
+    def refit(fitted: Fit, data: Any, bandwidth: float) -> Fit:
+        refits.append(data)
+        return fit_with(chi2=next(costs) / COUNT)
+
+    monkeypatch.setattr(significance, "continue_fit", refit)
+    data: Any = SimpleNamespace(
+        updates=2, with_updates=lambda n: n, with_interpolation=lambda between: between
+    )
+    tested = TestedFit(fit_with(chi2=100.0 / COUNT), data)
+    assert [tested.interpolation_change, tested.interpolation_change] == pytest.approx([10.0, 10.0])
+    assert refits == [3, "straight", "spline"]

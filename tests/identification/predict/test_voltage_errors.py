@@ -20,6 +20,7 @@ from hframe_gym.identification import (
     identify,
     prepare,
 )
+from hframe_gym.identification.budget import Budget
 from hframe_gym.identification.evidence.held_out import worsens_simulation
 from hframe_gym.identification.fit.channel_errors import channel_errors
 from hframe_gym.identification.fit.covariance import with_uncertainty
@@ -33,9 +34,8 @@ from hframe_gym.identification.fit.slow_logs import (
     fit_slow_log,
 )
 from hframe_gym.identification.fit.voltage_updates import (
-    VoltagesChangeError,
     count_updates,
-    require_updates,
+    other_updates,
 )
 from hframe_gym.identification.judge.verdict import JUDGING_BANDWIDTH
 from hframe_gym.identification.predict.free_parameters import prior_precision
@@ -188,12 +188,12 @@ def test_the_changes_of_the_voltage_are_counted(first: int) -> None:
 def test_a_search_asks_again_how_often_the_voltages_change() -> None:
     criteria, more = SelectionCriteria(), with_errors().with_updates(2 * UPDATES)
     fitted = continue_fit(least_squares(), more, SEARCH_BANDWIDTH)
-    with pytest.raises(VoltagesChangeError) as raised:
-        require_updates(fitted, more, criteria)
-    assert raised.value.updates.per_row == UPDATES
-    require_updates(fitted, dataclasses.replace(more, updates_rejected={UPDATES: 0}), criteria)
+    found = other_updates(fitted, more, criteria)
+    assert found is not None
+    assert found.per_row == UPDATES
+    assert other_updates(fitted, dataclasses.replace(more, updates_rejected={UPDATES: 0}), criteria) is None
     right = continue_fit(least_squares(), with_errors(), NARROWEST_WITH_VOLTAGE_ERRORS)
-    require_updates(right, with_errors(), criteria)
+    assert other_updates(right, with_errors(), criteria) is None
 
 
 def test_the_statistics_predict_the_error_of_a_simulation() -> None:
@@ -264,6 +264,8 @@ def test_a_log_with_held_voltages_or_few_rows_is_not_fitted_by_instruments() -> 
     few = dataclasses.replace(with_errors(), runs=tuple(run.first_rows(20) for run in with_errors().runs))
     assert fit_slow_log(least_squares(), few) is least_squares()
     assert fit_slow_log(least_squares(), slow_log()) is least_squares()
+    with Budget(0.0).limiting(delivers=True):
+        assert fit_slow_log(least_squares(), with_errors()) is least_squares()
 
 
 def test_the_error_that_unknown_voltages_cause_excludes_no_effect() -> None:

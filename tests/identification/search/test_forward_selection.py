@@ -5,10 +5,13 @@ Nothing is simulated. Fits have the costs that a test gives them, so that a test
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import pytest
 
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification.fit.estimation import describe_gain
+from hframe_gym.machine import AppliedEffect
 from tests.identification.scripted_fits import (
     DATA,
     DRAG,
@@ -117,13 +120,42 @@ def test_a_better_effect_replaces_an_earlier_one(
     scripted.replacement = fit_with(SPRING, STRIBECK, chi2=chi2)
     scripted.fault = "is unstable" if doubtful else ""
     current, chosen = fit_with(PUSH, SPRING, chi2=2.0), (selected(PUSH), selected(SPRING))
-    fitted, effects = scripted.search()._exchange(current, chosen)
+    fitted, effects = scripted.search()._exchange(current, chosen, chosen[:-1])
     if not replaced:
         assert (fitted, effects) == (current, chosen)
         return
     assert [s.effect for s in effects] == [SPRING, STRIBECK]
     assert effects[1].gain == pytest.approx(6.0 - chi2)
     assert fitted is scripted.replacement
+
+
+@pytest.mark.parametrize(
+    ("without_drag", "force", "kept"),
+    [(4.0, 1.0, [PUSH, DRAG]), (2.001, 1.0, [PUSH]), (4.0, 0.01, [PUSH])],
+    ids=["both pass", "too small a gain", "too small a force"],
+)
+def test_effects_that_a_search_with_other_voltages_selected_must_pass_again(
+    scripted: Scripted, without_drag: float, force: float, kept: list[AppliedEffect]
+) -> None:
+    scripted.force = {DRAG.label: force}
+    scripted.without = {PUSH.label: fit_with(DRAG, chi2=6.0), DRAG.label: fit_with(PUSH, chi2=without_drag)}
+    scripted.again = [fit_with(PUSH, DRAG, chi2=2.0), fit_with(PUSH, chi2=without_drag)]
+    known = (selected(PUSH, 30.0), selected(DRAG, 20.0))
+    fitted, effects = scripted.search().start_with(fit_with(chi2=10.0), known)
+    assert [s.effect for s in effects] == kept
+    assert list(fitted.machine.effects) == kept
+    assert [s.gain for s in effects] == pytest.approx([4.0, 2.0] if DRAG in kept else [10.0 - without_drag])
+
+
+@pytest.mark.parametrize(("rejected", "kept"), [(1, DRAG), (5, PUSH)], ids=["held", "interpolated"])
+def test_after_a_search_with_held_voltages_the_last_effect_may_give_way_as_well(
+    scripted: Scripted, rejected: int, kept: AppliedEffect
+) -> None:
+    scripted.without = {PUSH.label: fit_with(chi2=6.0)}
+    scripted.again, scripted.replacement = [fit_with(PUSH, chi2=2.0)], fit_with(DRAG, chi2=1.5)
+    data = SimpleNamespace(**{**vars(DATA), "updates_rejected": {rejected: 1}})
+    _, effects = scripted.search(data).start_with(fit_with(chi2=6.0), (selected(PUSH),))
+    assert [s.effect for s in effects] == [kept]
 
 
 def test_the_weakest_superfluous_effect_is_removed_first(scripted: Scripted) -> None:
