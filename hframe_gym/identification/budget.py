@@ -119,6 +119,8 @@ class Budget:
         self._part = 1.0  # of the budget, after which the present stage ends
         self.delivers = False
         self._reserved = 0.0  # s, for what follows the last stage
+        self._tests_part = math.inf  # of the budget, after which the tests end that follow the present stage
+        self._tests = 0.0  # s, for these tests
         self._began = clock()
 
     @property
@@ -158,7 +160,8 @@ class Budget:
             BudgetEndedError: If the time for the search is used up, or the user interrupted.
         """
         spent = self.spent
-        if self.interrupted or spent >= self._end(self._part):
+        before_tests = self._end(self._tests_part) - self._tests
+        if self.interrupted or spent >= min(self._end(self._part), before_tests):
             self._ended = spent
             raise BudgetEndedError
 
@@ -196,6 +199,14 @@ class Budget:
         """
         self._reserved = min(seconds, _LARGEST_RESERVE * self.seconds)
 
+    def expect_tests(self, seconds: float) -> None:
+        """Let a stage that tests follow end earlier, if these would otherwise not end in time.
+
+        Args:
+            seconds: Processor time that the tests of what the stage found will take, s.
+        """
+        self._tests = min(seconds, _LARGEST_RESERVE * self.seconds)
+
     def _end(self, part: float) -> float:
         """Return the time, s, after which a stage ends that may take some part of the budget."""
         return part * min(self.seconds, (self.seconds - self._reserved) / LAST_STAGE_END)
@@ -211,22 +222,28 @@ class Budget:
         return Budget(max(seconds, 0.0), clock=self._clock)
 
     @contextmanager
-    def limiting(self, part: float = 1.0, *, delivers: bool = False) -> Iterator[None]:
+    def limiting(
+        self, part: float = 1.0, *, delivers: bool = False, tests: float = math.inf
+    ) -> Iterator[None]:
         """Let `spend` ask this budget within a `with` block.
 
         Args:
             part: Part of the budget after which the stage ends, dimensionless.
             delivers: Whether fits of the stage end with their best parameters then, instead of unwinding.
+            tests: Part of the budget after which the tests end that follow the stage (`expect_tests`), dimensionless.
+                Default: none follow.
 
         Yields:
             Nothing.
         """
         token = _ACTIVE.set(self)
         self.searching, self._part, self.delivers = True, part, delivers
+        self._tests_part, self._tests = tests, 0.0
         try:
             yield
         finally:
             self.searching = self.delivers = False
+            self._tests_part = math.inf
             _ACTIVE.reset(token)
 
 
@@ -278,6 +295,22 @@ def error_so_far() -> float | None:
     """
     budget = _ACTIVE.get()
     return None if budget is None else budget.error
+
+
+def seconds_spent() -> float:
+    """Return the processor time that the active budget counts, s; 0 without one."""
+    budget = _ACTIVE.get()
+    return 0.0 if budget is None else budget.spent
+
+
+def expect_tests(seconds: float) -> None:
+    """Tell the active budget, if there is one, how long the tests of what was found will take (`Budget.expect_tests`).
+
+    Args:
+        seconds: Processor time, s.
+    """
+    if (budget := _ACTIVE.get()) is not None:
+        budget.expect_tests(seconds)
 
 
 def spender() -> Callable[[], None]:

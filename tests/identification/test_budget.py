@@ -20,6 +20,7 @@ from hframe_gym.identification.budget import (
     PLAIN_FIT_PART,
     Budget,
     BudgetEndedError,
+    expect_tests,
     goes_on,
     spend,
     spender,
@@ -154,6 +155,22 @@ def test_a_stage_may_end_after_another_part_of_the_budget() -> None:
     assert not budget.has_time(0.05)
     budget.stop()
     assert not budget.has_time(1.0)
+
+
+@pytest.mark.parametrize(("seconds", "end"), [(1.0, 0.75), (2.5, 0.65), (9.0, 0.4)], ids=str)
+def test_a_search_ends_early_enough_for_the_tests_of_what_it_found(seconds: float, end: float) -> None:
+    """Tests end at 90 % of 10 s; half of the budget is kept for them at most."""
+    spent = [0.0]
+    budget = Budget(10.0, clock=lambda: spent[0])
+    with budget.limiting(0.75, tests=0.9):
+        expect_tests(seconds)
+        spent[0] = 10.0 * end - 0.01
+        spend()
+        spent[0] = 10.0 * end + 0.01
+        with pytest.raises(BudgetEndedError):
+            spend()
+    with budget.limiting(0.9):
+        spend()
 
 
 def test_without_time_to_search_the_machine_has_no_effects() -> None:

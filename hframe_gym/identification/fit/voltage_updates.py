@@ -23,7 +23,7 @@ from ..predict.prediction import SEARCH_BANDWIDTH
 from ..predict.voltage_errors import expected_excess
 from .estimation import Fit, prediction_costs
 from .model_error import continue_fit
-from .slow_logs import excess_delay
+from .slow_logs import ExcessDelay, excess_delay
 
 # Gain by any number of changes relative to that by two. Voltages that change n times a row act late by 1 / (2 n)
 # sampling periods: two changes remove half of the delay of held ones, and with it more than half of its squared error.
@@ -78,7 +78,7 @@ def other_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> Vo
         excess = excess_delay(fitted, data)
         if excess is None or (excess.periods / excess.deviation) ** 2 < stats.chi2.isf(criteria.chance, 1):
             return None
-        per_row = count_updates(fitted, data)
+        per_row = count_updates(fitted, data, excess)
         counted = continue_fit(fitted, data.with_updates(per_row), fitted.bandwidth)
         held = continue_fit(fitted, data.with_held_voltages(), SEARCH_BANDWIDTH)
         updates = VoltageUpdates(per_row, held.chi2, counted.chi2)
@@ -87,7 +87,7 @@ def other_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> Vo
     return updates if is_other else None
 
 
-def count_updates(fitted: Fit, data: Dataset) -> int:
+def count_updates(fitted: Fit, data: Dataset, excess: ExcessDelay | None = None) -> int:
     """Count the changes of the voltages from one row to the next.
 
     Voltages that change n times a row act later than continuous ones by 1 / (2 n) sampling periods, and instruments
@@ -98,12 +98,13 @@ def count_updates(fitted: Fit, data: Dataset) -> int:
     Args:
         fitted: Fit of a machine to the runs.
         data: Runs with a first number of changes, at least 2.
+        excess: What instruments find with that number, if it is known already.
 
     Returns:
         The number, from 2 to 20, whose delay is closest to the one that instruments find; the first one if they find
         none.
     """
-    number, excess = data.updates, excess_delay(fitted, data)
+    number, excess = data.updates, excess or excess_delay(fitted, data)
     while excess is not None:
         nearest = _number_with_delay(0.5 / number + excess.periods)
         if nearest == number:

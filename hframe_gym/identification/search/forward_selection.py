@@ -15,7 +15,7 @@ import math
 
 from ...machine import Machine
 from ...preparation.dataset import Dataset
-from ..budget import note_error, spend
+from ..budget import expect_tests, note_error, seconds_spent, spend
 from ..evidence.rivals import (
     close_rivals,
     compare_rivals,
@@ -78,6 +78,7 @@ class EffectSearch:
         self.reached: Selection | None = None
         # Gain of the best candidate of the last step that failed a test, and that step; its trial fit is the first.
         self._doubted: tuple[float, Step] | None = None
+        self._seconds = 0.0  # processor time for the fit and the tests of the last effect that passed, s
 
     def with_data(self, data: Dataset) -> EffectSearch:
         """Return a copy of this search that uses other data but remembers which effects have failed a test.
@@ -125,6 +126,7 @@ class EffectSearch:
                 break
             best, selected = extended
             self.reached = best, selected
+            expect_tests((len(selected) + 1) * self._seconds)  # a fit with the finest step comes before
             if updates := other_updates(best, self.data, criteria):
                 raise VoltagesChangeError(best.machine, selected, updates)
             current, selected = self._settled(best, selected, selected[:-1])
@@ -150,6 +152,7 @@ class EffectSearch:
         data = self.data
         while known:
             spend(f"fitting {', '.join(s.effect.label for s in known)} to other voltages between the rows")
+            began = seconds_spent()
             complete = fit_with_effects(current, [s.effect for s in known], data)
             again = {s.effect.label: s for s in known}
             for s in sorted(known, key=lambda s: s.gain):
@@ -167,6 +170,7 @@ class EffectSearch:
             else:
                 selected = tuple(s.with_values(complete.machine) for s in again.values())
                 self.reached = complete, selected
+                expect_tests(seconds_spent() - began)
                 # The last one won against all others, but held voltages are another machine than interpolated ones.
                 held_before = [*data.updates_rejected][-1:] == [1]
                 return self._settled(complete, selected, selected if held_before else selected[:-1])
@@ -306,6 +310,7 @@ class EffectSearch:
         for trial in trials:
             if not judge.is_worth_convergence(current.error, trial.error, enough, self._criteria):
                 return None
+            began = seconds_spent()
             fitted = converge(trial, self.data, thorough=not nearly_explains(current.error, self._criteria))
             effect, gain = fitted.machine.effects[-1], (current.cost - fitted.cost) / self.data.count
             self._log(f"  {effect.label} {describe_gain(current, fitted)}")
@@ -314,6 +319,7 @@ class EffectSearch:
                 continue
             doubt = doubt_about_candidate(current, fitted, self.data, self._criteria)
             if not doubt:
+                self._seconds = seconds_spent() - began
                 return fitted
             self._log(f"  {effect.label} is not selected: it {doubt}")
             self.considered[effect.label] = ConsideredEffect(effect, fitted.machine, current.machine, doubt)

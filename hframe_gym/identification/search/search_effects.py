@@ -74,7 +74,7 @@ def search_effects(
     searches = [ModelSearch(machine, data, criteria, log, refitted, known=known)]
     budget, ends = budget or Budget(), ends or stage_ends(machine)
     try:
-        with budget.limiting(ends.search):
+        with budget.limiting(ends.search, tests=ends.tests):
             return _search_with_suspect(searches, machine, data, criteria, log, confirmed, known)
     except BudgetEndedError:
         log(f"  {budget.reason} ({budget.doing}); what was found so far is tested")
