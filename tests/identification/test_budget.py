@@ -28,10 +28,12 @@ from hframe_gym.identification.budget import (
 )
 from hframe_gym.identification.fit.estimation import Fit
 from hframe_gym.identification.fit.plain_fit import plain_fit
-from hframe_gym.identification.search import model_search, search_effects
+from hframe_gym.identification.search import checked_search, model_search, search_effects
+from hframe_gym.identification.search.outcome import SearchOutcome
 from hframe_gym.identification.validate import evaluation
 from hframe_gym.identification.validate.machine_errors import ModelEvaluation, evaluate_held_out
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
+from tests.identification.scripted_fits import CRITERIA, DATA, fit_with
 from tests.identification.single_axis import AXIS, axis_recordings, axis_runs, limited_runs
 
 pytestmark = pytest.mark.unit
@@ -274,6 +276,28 @@ def test_the_last_fits_of_what_passed_its_tests_are_no_tests(monkeypatch: pytest
     outcome = search_effects.search_effects(AXIS, data, SelectionCriteria(), lambda line: None, budget=budget)
     assert outcome.unfinished
     assert [s.effect.label for s in outcome.selected] == ["current_limit@motor"]
+
+
+@pytest.mark.parametrize(
+    ("seconds", "unfinished"), [(0.5, ""), (0.95, "searching for a delay or lag of the drives")]
+)
+def test_the_search_for_a_delay_of_the_drives_ends_with_the_budget(
+    monkeypatch: pytest.MonkeyPatch, seconds: float, unfinished: str
+) -> None:
+    """The last stage ends at 90 %."""
+
+    def searched(outcome: SearchOutcome, *arguments: Any) -> SearchOutcome:
+        spend()
+        return outcome._replace(explained=True)
+
+    monkeypatch.setattr(checked_search, "with_input_timing", searched)
+    spent = [0.0]
+    budget = Budget(1.0, clock=lambda: spent[0])
+    spent[0] = seconds
+    bare = fit_with(chi2=1.0)
+    outcome = SearchOutcome(bare, False, False, "unexplained", bare, (), (), DATA)
+    found = checked_search._with_input_timing(outcome, DATA, CRITERIA, lambda line: None, budget)
+    assert (found.explained, found.unfinished) == (not unfinished, unfinished)
 
 
 def test_each_iteration_of_a_fit_asks_the_budget() -> None:

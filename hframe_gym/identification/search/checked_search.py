@@ -13,7 +13,7 @@ from typing import NamedTuple
 from ...machine import Machine
 from ...preparation.dataset import Dataset, with_known_positions
 from ...preparation.excerpt import LARGEST_FIT, NORMAL_SESSION, describe_part, representative_part
-from ..budget import SECOND_SEARCH_PART, Budget, stage_ends
+from ..budget import LAST_STAGE_END, SECOND_SEARCH_PART, Budget, BudgetEndedError, stage_ends
 from ..evidence.held_out import contradicting_held_out_runs, held_out_gain, is_excited, worsens_simulation
 from ..evidence.tried_effects import Log, SelectedEffect
 from ..fit.estimation import Fit, fit
@@ -148,8 +148,18 @@ def find_effects(
         else:
             found = found._replace(hint=_hint(found, exchanged))
     outcome = without_unconfirmed(found.outcome, found.agreeing, log)
-    outcome = with_input_timing(outcome, found.agreeing, criteria, log)
-    return found._replace(outcome=outcome)
+    return found._replace(outcome=_with_input_timing(outcome, found.agreeing, criteria, log, budget))
+
+
+def _with_input_timing(
+    outcome: SearchOutcome, validation: Dataset, criteria: SelectionCriteria, log: Log, budget: Budget
+) -> SearchOutcome:
+    """Return an outcome with a delay or lag of the drives if there is one; as it is where the budget ends before."""
+    try:
+        with budget.limiting(LAST_STAGE_END):
+            return with_input_timing(outcome, validation, criteria, log)
+    except BudgetEndedError:
+        return outcome._replace(unfinished=outcome.unfinished or "searching for a delay or lag of the drives")
 
 
 def _search_and_check(
