@@ -95,6 +95,8 @@ class ModelSearch:
         self._data, self._criteria, self._log = data, criteria, log
         self._data_after = data  # with the initial states and zeros that follow from the machine with effects
         self._refinements: list[tuple[Fit, Fit]] = []  # pairs of a fit and the same refined, which takes long
+        # Fits, the runs before, and the runs with the starts and zeros that follow from the fit, which take long too.
+        self._data_of_fits: list[tuple[Fit, Dataset, Dataset]] = []
         self._searches: list[EffectSearch] = []  # one after the other
         # With the widest observer bandwidth first: it tolerates a model that is still wrong.
         self.base = refitted or fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
@@ -336,7 +338,14 @@ class ModelSearch:
 
     def _data_of(self, fitted: Fit) -> Dataset:
         """Return the runs with the encoders' zeros that follow from the effects of a fit."""
-        return self._data if fitted is self.before else refine_dataset(self._data_after, fitted.machine)
+        if fitted is self.before:
+            return self._data
+        for done, started, data in self._data_of_fits:
+            if done is fitted and started is self._data_after:
+                return data
+        data = refine_dataset(self._data_after, fitted.machine)
+        self._data_of_fits.append((fitted, self._data_after, data))
+        return data
 
     def _refined(self, fitted: Fit) -> Fit:
         """Return a fit refined in simulation."""
