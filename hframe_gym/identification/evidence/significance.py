@@ -79,7 +79,7 @@ class TestedFit:
 
     @cached_property
     def interpolation_change(self) -> float:
-        """Largest change of the cost by another interpolation of the voltages between the rows, refitted.
+        """Largest change of the cost, dimensionless, by another interpolation of the voltages between the rows, refitted.
 
         They may change once more or once less a row, on straight lines or on splines.
         """
