@@ -79,9 +79,10 @@ class TestedFit:
 
     @cached_property
     def interpolation_change(self) -> float:
-        """Largest change of the cost, dimensionless, by another interpolation of the voltages between the rows, refitted.
+        """Largest change of the cost, dimensionless, by another interpolation of the voltages between the rows.
 
-        They may change once more or once less a row, on straight lines or on splines.
+        The machine is fitted again to each. The voltages may change once more or once less a row, on straight lines or
+        on splines.
         """
         data, fitted = self.data, self.fitted
         others = [data.with_updates(n) for n in (data.updates - 1, data.updates + 1) if n > 1]
