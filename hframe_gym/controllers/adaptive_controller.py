@@ -85,7 +85,7 @@ class AdaptiveController(FullStateController):
             ]
             for stiffness in STIFFNESS_RATIOS.tolist()
         ]
-        self._dead_time, self._inversion = DeadTime(machine, period), InputInversion(machine)
+        self._dead_time, self._inversion = DeadTime(self.model.machine, period), InputInversion(machine)
         self._filter = MomentumFilter(self.model, period)
         drives = len(self.model.rated)
         self.feature_sizes = {

@@ -14,6 +14,8 @@ observer           the last period measured, within limits. While static frictio
 Motor reference    Motor positions deviate from those of unstretched belts, because modeled forces on the carriage
                    stretch the belts; at rest the reference follows the measured stretch. A wrong reference would
                    leave a steady-state error of the tool.
+Swinging loads     The motion of a carriage tells how a slow load on it swings (`SwingingLoads`). The feedforward holds
+                   its force, and the motor reference moves with the stretch that it causes.
 Gain reduction     A stage that keeps moving near its goal rings because the model is inaccurate; transfers of more
                    periods, that is, lower gains, end the ringing.
 
@@ -33,6 +35,7 @@ from ..arrays import Actions, Array, PreviewedGoals, TravelStates
 from ..machine import Machine
 from .base import CONTROLLERS, Feedback, FullStateController
 from .models.input_compensation import DeadTime, InputInversion
+from .models.swinging_loads import SwingingLoads
 from .planning.finite_horizon_control import MinimumEnergyTransfers, PreviewTracker
 
 # The following constants are tuned on randomized H-frames ("default").
@@ -75,7 +78,8 @@ class ModelBasedController(FullStateController):
     def __init__(self, machine: Machine, period: float = 0.01) -> None:
         super().__init__(machine, period)
         self.transfers = MinimumEnergyTransfers(self.model, period)
-        self._dead_time = DeadTime(machine, period)
+        self._dead_time = DeadTime(self.model.machine, period)
+        self._loads = SwingingLoads(machine, period)
         self._inversion = InputInversion(machine)
         self._tracker: PreviewTracker | None = None  # created when the length of the preview is known
         # N, shape (2,)
@@ -111,6 +115,7 @@ class ModelBasedController(FullStateController):
             self._settling, self._moving, self._elapsed = (np.zeros(len(state), np.intp) for _ in range(3))
         starts = self._starts.mask
         self._dead_time.reset(starts)
+        self._loads.follow(self._state, state, starts)
         self._settling, self._moving, self._elapsed = (
             np.where(starts, 0, count) for count in (self._settling, self._moving, self._elapsed)
         )
@@ -124,17 +129,24 @@ class ModelBasedController(FullStateController):
         self._tracker.update_disturbance(self._state, state, arrived, self._starts.mask)
         elapsed_s = self._elapsed.astype(np.float64) * self.period + self._dead_time.delay_s
         last = self._inversion.motor_voltage(self._dead_time.last_sent)
-        return self._tracker.command(self._dead_time.predict(state), goals, last, elapsed_s)
+        loads = self._loads.forces(self.model.path_velocities(state, goals, self.period))
+        return self._tracker.command(self._dead_time.predict(state), goals, last, elapsed_s, loads)
 
     def _reach(self, measured: Array, goal: Array) -> Array:
         """Return motor voltages (B, drives) for measured states (B, 2 n) and constant goals (B, axes), m."""
         model = self.model
         state = self._dead_time.predict(measured)
-        feedforward, effect_force = self._feedforward(state, measured)
+        load_force = self._loads.coming_force(state)
+        feedforward, effect_force = self._feedforward(state, measured, load_force)
         error = state - model.goal_state(goal)
-        at_rest = np.abs(measured - self._state)[:, : len(model.mass)].max(axis=1) <= REST_TRAVEL_M
-        self._update_stretch(model.elastic_travel(error), model.static_stretch(effect_force, goal), at_rest)
-        error[:, : len(model.mass)] -= self._stretch
+        load_stretch = model.static_stretch(load_force, goal)
+        stretching = load_stretch - model.static_stretch(self._loads.last_force, goal)  # m per period
+        moved = (measured - self._state)[:, : len(model.mass)] - stretching
+        at_rest = np.abs(moved).max(axis=1) <= REST_TRAVEL_M
+        measured_stretch = model.elastic_travel(error) - load_stretch
+        self._update_stretch(measured_stretch, model.static_stretch(effect_force, goal), at_rest)
+        error[:, : len(model.mass)] -= self._stretch + load_stretch
+        error[:, len(model.mass) :] -= stretching / self.period
         shortest = self.transfers.shortest
         at_least = np.minimum(shortest + self._moving // (SETTLING_ALLOWANCE * shortest), self._longest_hold)
         # The feedforward shifts the admissible range: friction helps to brake.
@@ -147,17 +159,18 @@ class ModelBasedController(FullStateController):
         self._moving = np.where(approaching, 0, self._moving + ~at_rest)
         return np.clip(transfer.volts + feedforward, -model.rated, model.rated)
 
-    def _feedforward(self, state: Array, measured: Array) -> tuple[Array, Array]:
+    def _feedforward(self, state: Array, measured: Array, load_force: Array) -> tuple[Array, Array]:
         """Return the feedforward voltage (B, drives) and the force of the machine's effects (B, n), N."""
         model = self.model
         elapsed_s = self._elapsed.astype(np.float64) * self.period
         effect_force = model.effect_force(state, elapsed_s)
         modeled = (effect_force + model.friction_force(state, elapsed_s)) @ model.rigid
+        load, last_load = (force @ model.rigid for force in (load_force, self._loads.last_force))
         arrived = self._inversion.motor_voltage(self._dead_time.mean_arrived())
         # Stages that start an episode have no last period; they are not settling either, so it is not used.
-        residual = model.disturbance_force(self._state, measured, arrived, self.period) - modeled
+        residual = model.disturbance_force(self._state, measured, arrived, self.period) - last_load - modeled
         observed = modeled + np.clip(residual, -self._disturbance_limit, self._disturbance_limit)
-        return -model.voltage(np.where(self._settling[:, None] > 0, observed, modeled)), effect_force
+        return -model.voltage(np.where(self._settling[:, None] > 0, observed, modeled) + load), effect_force
 
     def _update_stretch(self, measured: Array, modeled: Array, at_rest: NDArray[np.bool_]) -> None:
         """Update the motor reference from the measured stretch (B, n) while settling, else from the modeled one."""

@@ -68,7 +68,7 @@ class PredictiveController(FullStateController):
 
     def __init__(self, machine: Machine, period: float = 0.01) -> None:
         super().__init__(machine, period)
-        self._dead_time, self._inversion = DeadTime(machine, period), InputInversion(machine)
+        self._dead_time, self._inversion = DeadTime(self.model.machine, period), InputInversion(machine)
         self._undelayed_model = MotionModel(self._dead_time.machine_without_delay)
         self.estimator = ParameterWindow(self._undelayed_model, period, self._dead_time.remainder_s)
         self._linear, self._grid = LinearMotion(self._undelayed_model, period), OperatingPointGrid(machine)

@@ -33,6 +33,7 @@ from .motion import (
     rest_state,
     rigid_counterpart,
     rigid_motions,
+    slow_loads,
 )
 from .presets import BUILTIN_MACHINES, with_constant_stiffness
 from .sensed_quantities import SENSED_QUANTITIES, SensedQuantity, SensorQuantity
@@ -113,6 +114,7 @@ __all__ = [
     "rest_state",
     "rigid_counterpart",
     "rigid_motions",
+    "slow_loads",
     "stage_geometry",
     "summary",
     "with_constant_stiffness",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -10,11 +11,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arrays import Array
+from .effect import AppliedEffect
 from .machine import Machine
 from .uncertainty import Uncertainty
 
 # m per unit of the leading coordinate; a motion that extends a belt by more is not rigid.
 _RIGID_EXTENSION = 1e-9
+# Hz, natural frequency below which a load is slow. Designed for the cart alone, with a load of 0.3 of its mass, `pid`
+# settles an H-frame within 0.2 mm in 0.41 instead of 0.76 s at 1.8 Hz, in 0.67 instead of 0.70 s at 4 Hz, and in 0.72
+# instead of 0.69 s at 5 Hz.
+FASTEST_SLOW_LOAD_HZ = 4.0
 
 
 def observed_coordinates(machine: Machine) -> tuple[str, ...]:
@@ -32,15 +38,20 @@ def pulley_names(machine: Machine) -> tuple[str, ...]:
     )
 
 
-def rigid_counterpart(machine: Machine) -> Machine:
+def rigid_counterpart(machine: Machine, *, with_slow_loads: bool = False) -> Machine:
     """Return the machine for which controllers are designed: coordinates that effects add stay at zero.
 
     A bridge does not yaw, a payload does not swing, the frame that carries a sensor rests: no sensor measures these
     coordinates, and a controller does not act against the vibration that they cause. The effects that add them are left
-    out with their parameters; a machine without such effects is returned as it is. Coordinates that are not held by a
+    out with their parameters; a machine without such effects is returned as it is. A load that is left out moves with
+    its carriage, unless it is slow (`slow_loads`): then the carriage moves alone. Coordinates that are not held by a
     spring, such as idlers or the pulley behind a gear's gap, remain.
+
+    Args:
+        with_slow_loads: Whether the slow loads remain, as an estimator of the state needs them.
     """
-    left_out = tuple(e for e in machine.effects if e.coordinate)
+    slow = slow_loads(machine)
+    left_out = tuple(e for e in machine.effects if e.coordinate and not (with_slow_loads and e in slow))
     if not left_out:
         return machine
     names, labels = {e.coordinate for e in left_out}, {e.label for e in left_out}
@@ -55,14 +66,26 @@ def rigid_counterpart(machine: Machine) -> Machine:
             dataclasses.replace(b, extension=kept(b.extension), length=kept(b.length)) for b in machine.belts
         ),
         sensors=tuple(dataclasses.replace(s, row=kept(s.row)) for s in machine.sensors),
-        effects=tuple(e for e in machine.effects if not e.coordinate),
+        effects=tuple(e for e in machine.effects if e not in left_out),
         ties={key: tie for key, tie in machine.ties.items() if key.partition(".")[0] not in names},
         uncertainty=_without(machine.uncertainty, labels),
     )
     for effect in left_out:
-        if effect.definition.rigid:
+        if effect.definition.rigid and effect not in slow:
             rigid = effect.definition.rigid(rigid, effect)
     return rigid
+
+
+def slow_loads(machine: Machine) -> tuple[AppliedEffect, ...]:
+    """Return the effects that add a load which swings so slowly that its carriage moves to a goal under it."""
+    return tuple(
+        e for e in machine.effects if e.definition.reaction and _natural_frequency(e) < FASTEST_SLOW_LOAD_HZ
+    )
+
+
+def _natural_frequency(load: AppliedEffect) -> float:
+    """Return the natural frequency of a load whose carriage is held, Hz."""
+    return math.sqrt(-load("force", q=1.0, v=0.0, m=1.0, net=0.0)) / (2.0 * math.pi)
 
 
 def _without(uncertainty: Uncertainty | None, labels: Collection[str]) -> Uncertainty | None:

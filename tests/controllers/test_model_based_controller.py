@@ -7,6 +7,7 @@ import pytest
 
 from hframe_gym.controllers import ModelBasedController, MotionModel
 from hframe_gym.effects import EFFECTS
+from hframe_gym.evaluation import evaluate
 from hframe_gym.machine import Machine
 from tests.controllers.closed_loop import PERIOD, closed_loop, random_points, random_stages
 
@@ -97,3 +98,13 @@ def test_a_replaced_action_is_not_taken_for_a_disturbance(
     applied = np.array([[0.03, -0.02]])
     model_based.replace_last_action(applied)
     np.testing.assert_allclose(model_based.act(observation) - applied, third - second, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("delay_s", "longest_s"), [(0.0, 0.55), (0.005, 0.7)])
+def test_settles_under_a_load_that_swings_on(hframe: Machine, delay_s: float, longest_s: float) -> None:
+    """At the goal, a load of 0.3 of the cart's mass pulls by newtons, which stretch the belts by tenths of a mm."""
+    machine = hframe.with_effects(EFFECTS["payload_swing"].at("y", f0=1.8, zeta=0.04, r=0.3))
+    if delay_s:
+        machine = machine.with_effects(EFFECTS["input_delay"].at("drives", d=delay_s))
+    scores = evaluate("pid", machine, randomize="none", episodes=16).scores["controllers"]["pid"]
+    assert scores["settling_s"]["0.2mm"]["mean"] < longest_s

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from typing_extensions import override
 
 from ...arrays import Array
 from ...errors import InputError
@@ -41,49 +40,40 @@ def encoders_drift(machine: Machine, recordings: Sequence[Recording], period: fl
     if not recordings:
         raise InputError("encoders_drift needs at least one recording of the machine")
     drifting, exact = (
-        sum(_Replayed(machine, period, drifts).log_likelihood_of(recording) for recording in recordings)
+        sum(
+            _log_likelihood(StateEstimator(machine, period, drifting_encoders=drifts), run)
+            for run in recordings
+        )
         for drifts in (True, False)
     )
     return drifting > exact
 
 
-class _Replayed(StateEstimator):
-    """State estimator that follows a recorded run, whose voltages also change between the control periods.
+def _log_likelihood(estimator: StateEstimator, recording: Recording) -> float:
+    """Return the logarithm of the density of a run's measurements, one a control period, for a new estimator."""
+    begins_s, period, total = float(recording.time_s[0]), estimator.period, 0.0
+    periods = int((recording.time_s[-1] - begins_s + SAME_TIME_S) / period)
+    if periods < 1:
+        raise InputError(f"{recording.name} takes less than a control period, {period:g} s: leave it out")
+    for now_s in begins_s + period * np.arange(periods + 1):
+        row = int(np.abs(recording.time_s - now_s).argmin())
+        arrived = _arrived(recording, float(now_s) - estimator.delay_s, period)
+        estimator.update(recording.outputs[row : row + 1], arrived)
+        total += float(estimator.log_likelihood[0])
+    return total
 
-    Their means over the periods would move the tool by tenths of a millimeter less or more.
+
+def _arrived(recording: Recording, end_s: float, period: float) -> tuple[Array, Array]:
+    """Return the voltages of the period before a time, as `DeadTime.arrived_history` does.
+
+    They also change between the control periods. Their means over the periods would move the tool by tenths of a
+    millimeter less or more.
     """
-
-    def __init__(self, machine: Machine, period: float, drifting_encoders: bool) -> None:
-        super().__init__(machine, period, drifting_encoders=drifting_encoders)
-        self._history = np.zeros(0), np.zeros((0, 0, 0))
-
-    @override
-    def _arrived_history(self) -> tuple[Array, Array]:
-        return self._history
-
-    def log_likelihood_of(self, recording: Recording) -> float:
-        """Return the logarithm of the density of a run's measurements, one a control period."""
-        begins_s, total = float(recording.time_s[0]), 0.0
-        periods = int((recording.time_s[-1] - begins_s + SAME_TIME_S) / self.period)
-        if periods < 1:
-            raise InputError(
-                f"{recording.name} takes less than a control period, {self.period:g} s: leave it out"
-            )
-        for now_s in begins_s + self.period * np.arange(periods + 1):
-            self._history = self._recorded_history(recording, float(now_s))
-            row = int(np.abs(recording.time_s - now_s).argmin())
-            self.update(recording.outputs[row : row + 1])
-            total += float(self.log_likelihood[0])
-        return total
-
-    def _recorded_history(self, recording: Recording, now_s: float) -> tuple[Array, Array]:
-        """Return the voltages that reached the drives in the period before a time, as `DeadTime.arrived_history`."""
-        end_s = now_s - self._dead_time.delay_s
-        start_s = end_s - self.period
-        first, last = np.searchsorted(
-            recording.time_s, [start_s + SAME_TIME_S, end_s - SAME_TIME_S], side="right"
-        )
-        times = np.concatenate([[0.0], recording.time_s[first:last] - start_s, [self.period]])
-        # The last voltage counts at both its ends, and the first one also before the run.
-        rows = np.maximum(np.minimum(np.arange(first - 1, last + 1), last - 1), 0)
-        return times, recording.inputs[rows][None]
+    start_s = end_s - period
+    first, last = np.searchsorted(
+        recording.time_s, [start_s + SAME_TIME_S, end_s - SAME_TIME_S], side="right"
+    )
+    times = np.concatenate([[0.0], recording.time_s[first:last] - start_s, [period]])
+    # The last voltage counts at both its ends, and the first one also before the run.
+    rows = np.maximum(np.minimum(np.arange(first - 1, last + 1), last - 1), 0)
+    return times, recording.inputs[rows][None]

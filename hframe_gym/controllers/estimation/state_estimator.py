@@ -8,6 +8,7 @@ together with the belts' stiffness.
 Prediction    Second-order divided differences: the simulator maps points spread over the covariance, so that friction
               that sticks at some points and slips at others enters the predicted covariance. Effects with a memory, as
               heat or a hysteresis, go on from their states at the mean.
+Loads         A load that swings slowly is simulated with its carriage (`slow_loads`), although no sensor sees it.
 Correction    By the measurements within their sensors' ranges. A laser at the end of its range carries no information;
               encoders, and the belts' stretch under the estimated friction, then locate the tool.
 Encoders      What lies between an encoder and its belt (an eccentric pulley, a belt that creeps or climbs its teeth)
@@ -84,7 +85,7 @@ class StateEstimator:
         parameter_covariance: Array | None = None,
         drifting_encoders: bool = False,
     ) -> None:
-        machine = rigid_counterpart(machine)
+        machine = rigid_counterpart(machine, with_slow_loads=True)
         self.model = model = MotionModel(machine)
         self.period = check_period(period)
         self.measurements = MeasurementModel(model)
@@ -95,10 +96,13 @@ class StateEstimator:
         remaining_effects = tuple(e for e in machine_without_delay.effects if e.definition.site != "sensor")
         self._simulated = dataclasses.replace(machine_without_delay, effects=remaining_effects)
         self.augmented = AugmentedParameters(self._simulated)
-        n, count = len(model.mass), len(self.augmented.names)
+        n, count = len(machine.coordinates), len(self.augmented.names)
         if parameter_covariance is not None:
             self.augmented.covariance = _checked_covariance(parameter_covariance, count)
         self._scale = np.tile(machine.travel_per_unit, 2)
+        # Travel and velocity of the coordinates of the controllers' model; slow loads are estimated beside them.
+        modeled = [machine.coordinate_names.index(name) for name in model.machine.coordinate_names]
+        self._modeled = np.concatenate([modeled, n + np.array(modeled)])
         # Parts of the estimated vector: state, logarithms of parameter ratios, errors of encoders.
         encoders = np.eye(self.channels)[:, self._of_encoders() if drifting_encoders else []]
         drifting = encoders.shape[1]
@@ -106,7 +110,7 @@ class StateEstimator:
         self._errors = slice(2 * n + count, 2 * n + count + drifting)
         # The linear part of the measurement equation, and the entries of the vector that it concerns.
         self._matrix = np.hstack([self.measurements.matrix, encoders])
-        self._measured = np.r_[self._state, self._errors]
+        self._measured = np.r_[self._modeled, self._errors]
         self._smallest_std = np.repeat([*SMALLEST_STD, SMALLEST_STD[0]], [n, n, count, drifting])
         self._initial_covariance = np.zeros((self._errors.stop,) * 2)
         self._initial_covariance[:n, :n] = INITIAL_STRETCH_STD**2 * np.eye(n)
@@ -121,8 +125,9 @@ class StateEstimator:
         )
         self._keep = np.exp(-period / PARAMETER_MEMORY_S)
         self._process_noise = (1.0 - self._keep**2) * self._initial_covariance
+        velocity_std = np.zeros(n)
         largest_force = FORCE_NOISE * np.maximum(model.coulomb, 0.1 * model.coulomb.max())
-        velocity_std = largest_force / model.mass * period
+        velocity_std[modeled] = largest_force / model.mass * period
         std = np.concatenate(
             [0.5 * period * velocity_std, np.hypot(velocity_std, VELOCITY_NOISE * np.sqrt(period))]
         )
@@ -178,11 +183,18 @@ class StateEstimator:
         """Replace the voltages that `send` stored last with the voltages that were actually applied."""
         self._dead_time.replace_last(volts)
 
-    def update(self, measurements: Array) -> TravelStates:
+    @property
+    def delay_s(self) -> float:
+        """Dead time of the slowest drive, s."""
+        return self._dead_time.delay_s
+
+    def update(self, measurements: Array, arrived: tuple[Array, Array] | None = None) -> TravelStates:
         """Predict the state over the last control period and correct it with new measurements.
 
         Args:
             measurements: One measurement per sensor, m or rad, shape (B, channels).
+            arrived: Voltages that reached the drives in the last period, as of `DeadTime.arrived_history`; for a
+                recording whose voltages also change between the control periods. Default: those of `send`.
 
         Raises:
             InputError: If a measurement is not finite.
@@ -198,15 +210,15 @@ class StateEstimator:
         starts = self._starts.mask
         self._dead_time.reset(starts)
         travel, valid = self.measurements.to_travel(values), self.measurements.in_range(values)
-        self._predict()
+        self._predict(*(arrived or self._dead_time.arrived_history()))
         if starts.any():  # new episodes start at rest, with the declared parameters
             self._mean[starts] = 0.0
-            self._mean[starts, self._state] = self._state_at_rest(travel, valid)[starts]
+            self._mean[np.ix_(starts, self._modeled)] = self._state_at_rest(travel, valid)[starts]
             self._covariance[starts] = self._initial_covariance
             self._effects[starts] = 0.0
             self._starts.clear()
         self._correct(travel, valid)
-        return self._mean[:, self._state].copy()
+        return self._mean[:, self._modeled]
 
     def _state_at_rest(self, travel: Array, valid: Mask) -> Array:
         """Return states (B, 2 n) at rest with unstretched belts, by weighted least squares from the measurements.
@@ -216,23 +228,18 @@ class StateEstimator:
         rigid = self.measurements.matrix[:, : len(self.model.mass)] @ self.model.rigid  # (channels, axes)
         weight = valid / self.measurements.variance
         normal = np.einsum("ki,bk,kj->bij", rigid, weight, rigid)
-        states = np.zeros((len(travel), len(self._scale)))
+        states = np.zeros((len(travel), len(self._modeled)))
         for _ in range(1 if self.measurements.is_linear else 1 + DEVIATION_ITERATIONS):
             linear = travel - self.measurements.deviation(states)
             tool = np.linalg.solve(normal, ((weight * linear) @ rigid)[..., None])[..., 0]
             states = self.model.goal_state(tool)
         return states
 
-    def _arrived_history(self) -> tuple[Array, Array]:
-        """Return the voltages that reached the drives during the last period: `DeadTime.arrived_history`."""
-        return self._dead_time.arrived_history()
-
-    def _predict(self) -> None:
-        """Propagate mean and covariance over the last period."""
+    def _predict(self, times: Array, volts: Array) -> None:
+        """Propagate mean and covariance over the last period with voltages as of `DeadTime.arrived_history`."""
         points = sigma_points(self._mean, self._covariance, self._smallest_std)
         batch, count, _ = points.shape
         flat = points.reshape(batch * count, -1)
-        times, volts = self._arrived_history()
         motion = simulate_batch(
             self._simulated,
             times,
@@ -252,7 +259,7 @@ class StateEstimator:
 
     def _correct(self, travel: Array, valid: Mask) -> None:
         """Correct mean and covariance by the valid measurements (B, channels), m."""
-        linear = travel - self.measurements.deviation(self._mean[:, self._state])
+        linear = travel - self.measurements.deviation(self._mean[:, self._modeled])
         innovation = np.where(valid, linear - self._mean[:, self._measured] @ self._matrix.T, 0.0)
         _, S = self._innovation_covariance(valid)
         size = np.einsum("bi,bi->b", innovation, np.linalg.solve(S, innovation[..., None])[..., 0])

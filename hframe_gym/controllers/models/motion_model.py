@@ -168,6 +168,16 @@ class MotionModel:
         travel = np.asarray(goal, np.float64) @ self.rigid.T
         return np.concatenate([travel, np.zeros_like(travel)], axis=1)
 
+    def path_velocities(self, state: TravelStates, goals: Array, period: float) -> Array:
+        """Compute the velocities of the coordinates now and along previewed goals, m/s, shape (B, 1 + P, n).
+
+        Args:
+            goals: Tool goals now and at the ends of P periods, m, shape (B, 1 + P, axes).
+            period: Control period, s.
+        """
+        ahead = np.diff(goals, axis=1) / period @ self.rigid.T
+        return np.concatenate([state[:, None, len(self.mass) :], ahead], axis=1)
+
     def tool_position(self, travel: Array) -> ToolPositions:
         """Select the tool position from `travel` of all coordinates, m, or from states, shape (B, n or 2 n)."""
         return travel[:, self.tool]
@@ -243,6 +253,8 @@ class MotionModel:
 
         The result is belt travel, m, shape (B, n); it is 0 for the tool axes. Forces on other coordinates are not used.
         """
+        if not force.any():
+            return np.zeros_like(force)
         tool = self.tool
         motors = [i for i in range(len(self.mass)) if i not in tool]
         travel = goal @ self.rigid.T

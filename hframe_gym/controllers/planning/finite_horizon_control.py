@@ -331,13 +331,16 @@ class PreviewTracker:
         residual = _matvec(self._force_from_residual[points], after - predicted) - self._planned_force
         self._disturbance = np.where(starts[:, None], 0.0, self._disturbance + self._filter_gain * residual)
 
-    def command(self, state: TravelStates, goals: Array, last: Volts, elapsed_s: ElapsedTimes) -> Volts:
+    def command(
+        self, state: TravelStates, goals: Array, last: Volts, elapsed_s: ElapsedTimes, loads: Array
+    ) -> Volts:
         """Compute the motor voltages, within the rated ones, that follow the previewed goals from now on.
 
         Args:
             goals: Tool goals now and at the end of each following period, m, shape (B, 1 + H or more, axes) for H =
                 `horizon`; further goals are ignored.
             last: Motor voltages of the previous period. The plan penalizes changes from them.
+            loads: Forces of swinging loads in these periods, N, shape (B, H or more, n).
         """
         model, H = self.model, self.horizon
         goals = goals[:, : H + 1]
@@ -350,7 +353,7 @@ class PreviewTracker:
         modeled = (model.friction_force(path, times) + model.effect_force(path, times)).reshape(
             len(state), H, -1
         )
-        force = modeled + self._disturbance[:, None]
+        force = modeled + loads[:, :H] + self._disturbance[:, None]
         self._planned_force = force[:, 0]
         # The plan's first voltages: feedback of the state and the last voltages, feedforward of goals and forces.
         points, gains = self.grid.nearest(goals[:, 0]), self.gains

@@ -48,18 +48,20 @@ def moves_knots(before: FitError, moved: FitError, criteria: SelectionCriteria) 
 
 @dataclass(frozen=True)
 class TableEvidence:
-    """Costs of a machine with tables and of the best machines without tables, with the widest observer.
+    """Errors of a machine with tables and of the best machines without tables, with the widest observer.
+
+    Errors are chi-squared per sample beyond that of an exact machine: no table removes the noise.
 
     Attributes:
         explained: Whether the machine with tables explains the data.
-        cost: Cost of the machine with tables.
-        refitted: Cost of the refitted machine without effects.
-        with_effects: Cost of the machine with the selected effects and without tables.
+        excess: Error of the machine with tables.
+        refitted: Error of the refitted machine without effects.
+        with_effects: Error of the machine with the selected effects and without tables.
         effects: Number of the selected effects that the table replaces; 0 if they stay beside it.
     """
 
     explained: bool
-    cost: float
+    excess: float
     refitted: float
     with_effects: float
     effects: int = 0
@@ -68,15 +70,15 @@ class TableEvidence:
 def accepts_table(evidence: TableEvidence) -> bool:
     """Return whether a machine with tables is accepted in place of the best machines without tables.
 
-    It is if it explains the data, or if its cost is a tenth (`FAR`) of theirs. Where tables replace two or more
-    effects, half the cost (`CLEAR`) of the machine with effects suffices: several effects may only imitate one curve.
+    It is if it explains the data, or if its error is a tenth (`FAR`) of theirs. Where tables replace two or more
+    effects, half the error (`CLEAR`) of the machine with effects suffices: several effects may only imitate one curve.
 
     Args:
-        evidence: Costs of the machines.
+        evidence: Errors of the machines.
     """
     than_effects = CLEAR if evidence.effects > 1 else FAR
     is_better = (
-        than_effects * evidence.cost < evidence.with_effects and FAR * evidence.cost < evidence.refitted
+        than_effects * evidence.excess < evidence.with_effects and FAR * evidence.excess < evidence.refitted
     )
     return evidence.explained or is_better
 

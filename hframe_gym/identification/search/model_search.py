@@ -404,8 +404,14 @@ class ModelSearch:
         for start, count in ((alone, 1), (beside, 2)):
             if (tabled := self._tabled(start, count)) is not None:
                 replaced = len(found.effects) - len(start.effects)
-                costs = self._wide_error(tabled.fitted).cost, self.base.cost, beside.fitted.cost
-                if accepts_table(TableEvidence(self._explains(tabled.fitted), *costs, replaced)):
+                evidence = TableEvidence(
+                    explained=self._explains(tabled.fitted),
+                    excess=self._wide_error(tabled.fitted).excess,
+                    refitted=self.base.error.excess,
+                    with_effects=beside.fitted.error.excess,
+                    effects=replaced,
+                )
+                if accepts_table(evidence):
                     return tabled
         return None
 

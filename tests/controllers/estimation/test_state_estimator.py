@@ -130,6 +130,22 @@ def test_encoders_that_drift_are_not_taken_for_stretched_belts(hframe: Machine) 
     assert wrong[True] < 0.5 * wrong[False], wrong
 
 
+def test_a_load_that_no_sensor_sees_is_estimated(hframe: Machine) -> None:
+    """Measurements are more probable if the estimator knows the load that pulls at the cart."""
+    machine = hframe.with_effects(EFFECTS["payload_swing"].at("y", f0=1.8, zeta=0.02, r=0.3))
+    volts, motion = random_motion(machine, (0.05, -0.05), 100)
+    probable = []
+    for known in (machine, hframe):
+        estimator, total = StateEstimator(with_rig(known, np.inf), PERIOD), 0.0
+        measure = RigMeasurements(np.inf, 6)
+        for k in range(101):
+            assert estimator.update(measure(motion.positions[k : k + 1])).shape == (1, 8)
+            estimator.send(volts[k : k + 1])
+            total += float(estimator.log_likelihood[0])
+        probable.append(total)
+    assert probable[0] > probable[1] + 10.0, probable
+
+
 def test_follows_measurements_that_no_model_explains(hframe: Machine) -> None:
     """A stage at rest is displaced by 5 mm by hand; a filter without covariance inflation would follow slowly."""
     estimator, measure = StateEstimator(with_rig(hframe, np.inf), PERIOD), RigMeasurements(np.inf, 7)

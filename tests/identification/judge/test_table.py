@@ -34,7 +34,7 @@ def test_knots_move_for_the_gain_of_an_effect(after: float, moves: bool) -> None
 
 
 @pytest.mark.parametrize(
-    ("explained", "cost", "refitted", "with_effects", "effects", "accepted"),
+    ("explained", "excess", "refitted", "with_effects", "effects", "accepted"),
     [
         (True, 9.0, 10.0, 10.0, 0, True),
         (False, 0.99, 10.0, 10.0, 0, True),
@@ -47,9 +47,9 @@ def test_knots_move_for_the_gain_of_an_effect(after: float, moves: bool) -> None
     ],
 )
 def test_a_table_is_accepted_if_it_explains_or_leaves_little(
-    explained: bool, cost: float, refitted: float, with_effects: float, effects: int, accepted: bool
+    explained: bool, excess: float, refitted: float, with_effects: float, effects: int, accepted: bool
 ) -> None:
-    evidence = TableEvidence(explained, cost, refitted, with_effects, effects)
+    evidence = TableEvidence(explained, excess, refitted, with_effects, effects)
     assert judge.accepts_table(evidence) == accepted
 
 
