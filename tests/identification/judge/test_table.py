@@ -53,6 +53,13 @@ def test_a_table_is_accepted_if_it_explains_or_leaves_little(
     assert judge.accepts_table(evidence) == accepted
 
 
+def test_a_table_need_not_remove_the_noise() -> None:
+    """With the widest observer, noise alone leaves 1.1; a tenth of what exceeds that in 21.4 is 2.03."""
+    excess = [error(chi2).excess for chi2 in (2.15, 126.8, 21.4)]
+    assert judge.accepts_table(TableEvidence(False, *excess))
+    assert not judge.accepts_table(TableEvidence(False, excess[0] + 1.1, *excess[1:]))
+
+
 @pytest.mark.parametrize(("table", "curve"), [(0.9, True), (1.1, False)])
 def test_a_table_shows_a_curve_that_effects_imitate_if_it_halves_the_error_of_the_simulation(
     table: float, curve: bool
