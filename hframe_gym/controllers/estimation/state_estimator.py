@@ -193,8 +193,9 @@ class StateEstimator:
 
         Args:
             measurements: One measurement per sensor, m or rad, shape (B, channels).
-            arrived: Voltages that reached the drives in the last period, as of `DeadTime.arrived_history`; for a
-                recording whose voltages also change between the control periods. Default: those of `send`.
+            arrived: Times of the last period, from 0 to the period, s, shape (k,), and the voltages that reached the
+                drives from each of them on, V, shape (B, k, drives), the last entry repeated; for a recording whose
+                voltages also change between the control periods. Default: the voltages of `send`.
 
         Raises:
             InputError: If a measurement is not finite.
