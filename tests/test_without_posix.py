@@ -37,9 +37,19 @@ def run_without_posix(*words: object, folder: Path) -> str:
     return finished.stdout
 
 
-def hframe_without_posix(*words: object, folder: Path) -> str:
-    """Run a command without the names that only POSIX systems have; return what it prints."""
-    return run_without_posix("-m", "hframe_gym", *words, folder=folder)
+def hframe_without_posix(*commands: str, folder: Path) -> None:
+    """Run commands, one after the other in one process, without the names that only POSIX systems have."""
+    code = f"""
+import shlex, sys
+from hframe_gym.__main__ import main
+for command in {commands!r}:
+    sys.argv = ["hframe", *shlex.split(command)]
+    try:
+        main()
+    except SystemExit as end:
+        assert not end.code, (command, end.code)
+"""
+    run_without_posix("-c", code, folder=folder)
 
 
 @pytest.fixture(scope="module")
@@ -126,17 +136,15 @@ print("done")
 
 @pytest.mark.integration
 def test_commands_run(work: Path) -> None:
-    run = work / "runs" / "run 1.csv"
     hframe_without_posix(
-        "simulate", "--machine", "axis", "--inputs", run, "--out", "predicted 1.csv", folder=work
+        "simulate --machine axis --inputs 'runs/run 1.csv' --out 'predicted 1.csv'",
+        "check runs --machine axis",
+        "import 'runs/run 1.csv' --machine axis --out 'imported runs'",
+        "identify runs --machine axis --jobs 2 --out answer",
+        "report answer",
+        "evaluate pid --episodes 2 --html --out scores",
+        folder=work,
     )
-    hframe_without_posix("check", "runs", "--machine", "axis", folder=work)
-    hframe_without_posix("import", run, "--machine", "axis", "--out", "imported runs", folder=work)
-    hframe_without_posix(
-        "identify", "runs", "--machine", "axis", "--jobs", "2", "--out", "answer", folder=work
-    )
-    hframe_without_posix("report", "answer", folder=work)
-    hframe_without_posix("evaluate", "pid", "--episodes", "2", "--html", "--out", "scores", folder=work)
     files = {path.relative_to(work).as_posix() for path in work.rglob("*") if path.is_file()}
     expected = {"predicted 1.csv", "imported runs/run 1.csv.gz", "answer/report.json", "answer/report.html"}
     assert files >= expected | {"scores/scores.json", "scores/pid.png", "scores/scorecard.html"}
@@ -146,7 +154,6 @@ def test_commands_run(work: Path) -> None:
 @pytest.mark.train
 @pytest.mark.skipif(importlib.util.find_spec("stable_baselines3") is None, reason="needs the extra agents")
 def test_training_runs(work: Path) -> None:
-    seeds = ("--seed", "1", "--seed", "2", "--jobs", "2")
-    hframe_without_posix("train", "ppo", "--steps", "1", *seeds, "--out", "agents", folder=work)
+    hframe_without_posix("train ppo --steps 1 --seed 1 --seed 2 --jobs 2 --out agents", folder=work)
     for folder in ("agents/seed_1", "agents/seed_2"):
         assert (work / folder / "agent.json").is_file()

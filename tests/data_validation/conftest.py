@@ -10,5 +10,5 @@ from tests.example_runs import example_runs
 
 @pytest.fixture
 def runs() -> list[Recording]:
-    """Return four good recordings of the H-frame."""
-    return list(example_runs("rig_b")[:4])
+    """Return three good recordings of the H-frame."""
+    return list(example_runs("rig_b")[:3])

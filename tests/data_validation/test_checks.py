@@ -126,10 +126,10 @@ def test_a_laser_at_the_end_of_its_range_is_clipped(runs: list[Recording], hfram
 
 
 def test_lasers_that_end_at_their_range_do_not_make_other_channels_suspect(
-    runs: list[Recording], hframe: Machine
+    hframe: Machine,
 ) -> None:
     """Lasers of 100 mm range are clipped for whole runs; the encoders, which rest at times, are not stuck."""
-    near = [r for r in runs if np.abs(r.outputs[:, [X, Y]]).max() > 0.05]
+    near = [r for r in example_runs("rig_b")[:4] if np.abs(r.outputs[:, [X, Y]]).max() > 0.05]
     clipped = with_column(
         with_column(near, X, lambda y: np.clip(y, -0.02, 0.02)), Y, lambda y: np.clip(y, -0.02, 0.02)
     )
@@ -296,7 +296,7 @@ def test_a_run_that_begins_with_an_input_but_without_motion_is_no_finding(
     assert not [message for message in advice if "at rest" in message or "begins" in message]
 
 
-@pytest.mark.parametrize("dead", [1, 4])
+@pytest.mark.parametrize("dead", [1, 3])
 def test_motion_without_any_voltage_is_a_fault(dead: int, runs: list[Recording], hframe: Machine) -> None:
     """The voltage column of some or of all runs is dead."""
     without = [dataclasses.replace(run, inputs=0.0 * run.inputs) for run in runs[:dead]] + runs[dead:]
