@@ -208,6 +208,7 @@ def test_a_description_is_drawn_without_a_name(data: Dataset, tmp_path: Path) ->
     assert (tmp_path / "plots" / "effects.png").is_file()
 
 
+@pytest.mark.usefixtures("without_drawing")
 @pytest.mark.parametrize(
     ("verdict", "text"),
     [
@@ -240,6 +241,7 @@ def test_a_machine_that_diverges_has_no_error_but_a_cause(data: Dataset, tmp_pat
     assert np.isnan(dataclasses.replace(result_of(data, "effect_found", STRIBECK), before=diverged).explained)
 
 
+@pytest.mark.usefixtures("without_drawing")
 def test_an_unexplained_error_is_stated_in_the_users_terms_with_a_hint(data: Dataset, tmp_path: Path) -> None:
     """The missing force depends on the current of the motor; effects that describe a part of it are no names."""
     result = result_of(data, "unexplained", AXIS)
