@@ -30,6 +30,16 @@ FLAGS = (
 CHECKS = (Path(__file__).parent / "page_checks.js").read_text()
 
 
+def require_chromium() -> tuple[str, str]:
+    """Return the paths of Chromium and its driver; skip the test if one or the package selenium is missing."""
+    pytest.importorskip("selenium", reason="selenium is not installed: pip install -e '.[dev]'")
+    browser = shutil.which("chromium") or shutil.which("google-chrome")
+    server = shutil.which("chromedriver")
+    if not (browser and server):
+        pytest.skip("no Chromium or no ChromeDriver: apt-get install chromium chromium-driver")
+    return browser, server
+
+
 @contextmanager
 def chromium() -> Iterator[Any]:
     """Start Chromium; the test is skipped if it, its driver or the package selenium is missing.
@@ -37,11 +47,8 @@ def chromium() -> Iterator[Any]:
     Yields:
         Driver (selenium).
     """
-    selenium = pytest.importorskip("selenium", reason="selenium is not installed: pip install -e '.[dev]'")
-    browser = shutil.which("chromium") or shutil.which("google-chrome")
-    server = shutil.which("chromedriver")
-    if not (browser and server):
-        pytest.skip("no Chromium or no ChromeDriver: apt-get install chromium chromium-driver")
+    browser, server = require_chromium()
+    import selenium.webdriver
     from selenium.webdriver.chrome.service import Service
 
     options = selenium.webdriver.ChromeOptions()

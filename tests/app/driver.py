@@ -17,7 +17,7 @@ import numpy as np
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
 from hframe_gym.machine import BUILTIN_MACHINES
-from tests.browser import WIDTHS
+from tests.browser import WIDTHS, chromium, require_chromium
 
 ROOT = Path(__file__).resolve().parents[2]
 STAGES = ("machine", "logs", "check", "identify", "results", "control", "export")
@@ -235,6 +235,14 @@ class Visitor:
         path.write_bytes(base64.b64decode(content["data"]))
         size["height"] = WIDTHS.get(width, 800)
         self.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+
+
+@contextmanager
+def visitor_of(folder: Path) -> Iterator[Visitor]:
+    """Open the window of a session in Chromium; without Chromium, skip the test before the window is started."""
+    require_chromium()
+    with served(folder) as address, chromium() as driver:
+        yield Visitor(driver, address)
 
 
 def newcomers_session(visitor: Visitor) -> dict[str, str]:

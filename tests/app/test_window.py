@@ -14,8 +14,8 @@ import pytest
 
 from hframe_gym.machine import BUILTIN_MACHINES
 from hframe_gym.recordings import load_machine, save_machine
-from tests.app.driver import STAGES, Visitor, foreign_logs, newcomers_session, served
-from tests.browser import SCHEMES, WIDTHS, chromium
+from tests.app.driver import STAGES, Visitor, foreign_logs, newcomers_session, served, visitor_of
+from tests.browser import SCHEMES, WIDTHS
 
 pytest.importorskip("nicegui", reason="the extra app is not installed")
 pytestmark = pytest.mark.integration
@@ -41,8 +41,7 @@ def faults_of(visitor: Visitor) -> list[str]:
 
 def test_a_newcomer_gets_from_a_dropped_log_to_exports_and_can_repeat_it_by_script(tmp_path: Path) -> None:
     session = tmp_path / "session"
-    with served(session) as address, chromium() as driver:
-        visitor = Visitor(driver, address)
+    with visitor_of(session) as visitor:
         began = time.monotonic()
         texts = newcomers_session(visitor)
         assert time.monotonic() - began < 300.0
@@ -77,8 +76,7 @@ def test_runs_are_cut_with_the_mouse_and_by_numbers_and_a_wrong_column_is_explai
     (session / "logs").mkdir(parents=True)
     (session / "logs" / "one.csv").write_bytes(foreign_logs(1)["Messung_1.csv"])
     save_machine(BUILTIN_MACHINES["axis"](), session / "machine.json")
-    with served(session) as address, chromium() as driver:
-        visitor = Visitor(driver, address)
+    with visitor_of(session) as visitor:
         visitor.look(1280, "light")
         visitor.go("logs")
         visitor.until("document.querySelectorAll('main[data-stage=logs] canvas').length > 0", 30.0)
@@ -107,8 +105,7 @@ def test_an_identification_that_is_stopped_keeps_the_best_machine(tmp_path: Path
     session.mkdir()
     shutil.copytree(EXAMPLES / "rig_a", session / "runs")
     save_machine(BUILTIN_MACHINES["hframe"](), session / "machine.json")
-    with served(session) as address, chromium() as driver:
-        visitor = Visitor(driver, address)
+    with visitor_of(session) as visitor:
         visitor.look(390, "dark")
         visitor.go("identify")
         visitor.fill("[data-budget]", "100")
@@ -130,8 +127,7 @@ def test_an_identification_that_is_stopped_keeps_the_best_machine(tmp_path: Path
 
 def test_stages_are_reached_and_commands_run_by_keyboard_alone(tmp_path: Path) -> None:
     keys = pytest.importorskip("selenium.webdriver.common.keys").Keys
-    with served(tmp_path / "session") as address, chromium() as driver:
-        visitor = Visitor(driver, address)
+    with visitor_of(tmp_path / "session") as visitor:
         visitor.look(1280, "light")
         visitor.tab_to("e.innerText?.startsWith('One axis')")
         visitor.press(keys.SPACE)
@@ -156,8 +152,7 @@ def test_stages_are_reached_and_commands_run_by_keyboard_alone(tmp_path: Path) -
 
 def test_a_machine_is_created_with_sensors_of_what_the_log_has(tmp_path: Path) -> None:
     stage = "document.querySelector('main[data-stage=machine]').innerText"
-    with served(tmp_path / "session") as address, chromium() as driver:
-        visitor = Visitor(driver, address)
+    with visitor_of(tmp_path / "session") as visitor:
         visitor.look(1280, "light")
         visitor.click_text("main[data-stage=machine] .q-radio", "One axis")
         visitor.until(f"{stage}.includes('--like axis')", 10.0)
@@ -170,8 +165,7 @@ def test_a_machine_is_created_with_sensors_of_what_the_log_has(tmp_path: Path) -
 def test_a_dropped_machine_replaces_the_machine_and_a_faulty_one_is_explained(tmp_path: Path) -> None:
     good = tmp_path / "own.json"
     save_machine(BUILTIN_MACHINES["corexy"](), good)
-    with served(tmp_path / "session") as address, chromium() as driver:
-        visitor = Visitor(driver, address)
+    with visitor_of(tmp_path / "session") as visitor:
         visitor.look(390, "light")
         visitor.drop({"faulty.json": b'{"schema": 1}'}, "main[data-stage=machine] .q-uploader")
         visitor.until("document.querySelector('.q-notification')?.innerText.includes('machine.json')", 10.0)
@@ -197,8 +191,7 @@ def test_a_log_of_a_million_rows_is_drawn_with_its_peak(tmp_path: Path) -> None:
         comments="",
     )
     save_machine(BUILTIN_MACHINES["axis"](), session / "machine.json")
-    with served(session) as address, chromium() as driver:
-        visitor = Visitor(driver, address)
+    with visitor_of(session) as visitor:
         visitor.look(1280, "light")
         visitor.go("logs")
         began = time.monotonic()
