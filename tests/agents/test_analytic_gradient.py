@@ -196,6 +196,7 @@ def test_a_mapping_without_derivatives_is_rejected(actuation):
 @pytest.mark.train
 def test_a_short_training_reaches_the_goal_and_resumes(tmp_path, monkeypatch):
     monkeypatch.setattr("hframe_gym.agents.training.EVALUATION_EPISODES", 32)
+    monkeypatch.setattr("hframe_gym.agents.training.EVALUATIONS_PER_RUN", 3)
     recipe = load_recipe("apg", "reach")
     recipe = replace(recipe, env={**recipe.env, "num_envs": 64})
     card = train(recipe, steps=64_000, out=tmp_path, log=lambda line: None)

@@ -42,6 +42,6 @@ def test_fitted_parameters_explain_the_recordings():
 
 @pytest.mark.integration
 def test_a_trained_policy_reaches_the_goals():
-    _, medians = load("policy_gradient").train(60)
+    _, medians = load("policy_gradient").train(20)
     assert medians[0] > 0.05
-    assert medians[-1] < 5e-3
+    assert medians[-1] < 1e-2

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import os
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -209,13 +208,13 @@ def test_a_data_set_is_not_replaced(datasets: Path) -> None:
     assert (written.folder / "data" / "main_data.hdf5").read_bytes() == before
 
 
-def test_the_command_names_the_data_sets_and_the_extra(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "hframe_gym", "export", "pid", "--episodes", "2", "--out", "out"]
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
-    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+def test_the_command_names_the_data_sets_and_the_extra(
+    tmp_path: Path, hframe_command: Callable[..., tuple[int, str, str]]
+) -> None:
+    code, out, errors = hframe_command("export", "pid", "--episodes", "2", "--out", tmp_path / "out")
+    assert code == 0, errors
     assert (tmp_path / "out" / "hframe" / "reach" / "pid-v0" / "data" / "metadata.json").is_file()
-    assert "wrote hframe/reach/pid-v0: 2 episodes, 300 steps" in done.stdout
+    assert "wrote hframe/reach/pid-v0: 2 episodes, 300 steps" in out
     hide = "import sys; sys.modules['h5py'] = None; from hframe_gym.cli import main; main()"
     missing = [
         sys.executable,
