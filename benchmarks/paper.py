@@ -19,7 +19,7 @@ from rich.table import Table
 
 from benchmarks.results_file import write_results
 from hframe_gym.arrays import Array
-from hframe_gym.dynamics import mode_frequencies, simulate
+from hframe_gym.dynamics import belt_modes, simulate
 from hframe_gym.files import atomic_file
 from hframe_gym.machine import BUILTIN_MACHINES, Machine, with_constant_stiffness
 from hframe_gym.machine.presets import STIFFNESS
@@ -96,7 +96,7 @@ def rows() -> list[Row]:
             f"{value:.5g} N/m",
             abs(value / printed - 1) < 5e-4,
         )
-    modes = ["  ".join(f"{f:.2f}" for f in mode_frequencies(m) if f > 0) for m in (linear, full)]
+    modes = ["  ".join(f"{f:.2f}" for f in belt_modes(m)) for m in (linear, full)]
     add("belt modes, 8th order", "-", f"{modes[0]} Hz", "not stated")
     add("belt modes, 20th order", "-", f"{modes[1]} Hz", "not stated")
     for volts, axis, name in (((-4.0, -4.0), 3, "y"), ((-4.0, 4.0), 2, "x")):

@@ -27,7 +27,7 @@ def curves_chart(
     curves: Sequence[Curve],
     *,
     dark: bool,
-    x_name: str,
+    x_name: str = "time, s",
     intervals: Sequence[Interval] = (),
     window: tuple[float, float] | None = None,
 ) -> dict[str, Any]:

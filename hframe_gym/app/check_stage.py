@@ -15,9 +15,10 @@ from ..data_validation import Finding, group_findings
 from ..errors import InputError
 from ..machine import Machine
 from ..recordings import run_name
-from .charts import curves_chart, height_of
+from .charts import curves_chart
 from .log_columns import Curve, run_curves, simulated_outputs
 from .session import FINDINGS, check_command
+from .shown_charts import redraw, show_curves
 from .stage import Stage, State, banner, heading, table
 
 _TONES = {"fault": ("warning", "Fault"), "advice": ("neutral", "Advice"), "note": ("good", "Note")}
@@ -164,7 +165,8 @@ class CheckStage(Stage):
             if all_curves is not None and not place.is_deleted:
                 curves = [curve for curve in all_curves if curve.name in channels]
                 with place:
-                    drawn.append((self._chart(curves), path, curves))
+                    words = f"Curves of {', '.join(curve.name for curve in curves)}"
+                    drawn.append((show_curves(curves, words, self.page.dark), path, curves))
         for chart, path, curves in drawn:
             simulated = await run.io_bound(simulated_outputs, path, machine) if path.exists() else None
             if not simulated or chart.is_deleted:
@@ -175,9 +177,7 @@ class CheckStage(Stage):
                 else c
                 for c in curves
             ]
-            chart.options.clear()
-            chart.options.update(curves_chart(both, dark=self.page.dark, x_name="time, s"))
-            chart.update()
+            redraw(chart, curves_chart(both, dark=self.page.dark))
 
     @staticmethod
     def _warn(place: Any, text: str) -> None:
@@ -185,10 +185,3 @@ class CheckStage(Stage):
         if not place.is_deleted:
             with place:
                 banner("warning", "", text)
-
-    def _chart(self, curves: list[Curve]) -> Any:
-        """Draw curves of a run."""
-        options = curves_chart(curves, dark=self.page.dark, x_name="time, s")
-        names = ", ".join(curve.name for curve in curves)
-        chart = ui.echart(options).classes("w-full").style(f"height: {height_of(len(curves)) - 24}px")
-        return chart.props(f'role=img aria-label="Curves of {html.escape(names)}"')

@@ -16,10 +16,11 @@ from ..envs import TASKS, EnvConfig
 from ..evaluation import file_labels
 from ..recordings import load_machine
 from ..web_page import number
-from .charts import curves_chart, height_of
+from .charts import curves_chart
 from .log_columns import Curve
 from .machine_stage import StageView
 from .session import MACHINE, evaluate_command
+from .shown_charts import redraw, show_curves
 from .stage import Stage, State, banner, heading, table
 from .stage_drawing import drawing_of, read_motions
 
@@ -162,18 +163,14 @@ class ControlStage(Stage):
         view = StageView(drawing, _of_episode(motions, self._episode))
         inputs, small = machine.input_channels, machine.axis_unit.small
         curves = _curves(_of_episode(motions, self._episode), inputs, small)
-        options = curves_chart(curves, dark=self.page.dark, x_name="time, s")
-        chart = ui.echart(options).classes("w-full").style(f"height: {height_of(len(curves)) - 24}px")
-        chart.props('role=img aria-label="Distance to the goal and voltages over time"')
+        chart = show_curves(curves, "Distance to the goal and voltages over time", self.page.dark)
 
         def select(event: events.ValueChangeEventArguments[Any]) -> None:
             self._episode = int(event.value)
             view.props["motions"] = _of_episode(motions, self._episode)
             view.update()
-            chart.options.clear()
             shown = _curves(_of_episode(motions, self._episode), inputs, small)
-            chart.options.update(curves_chart(shown, dark=self.page.dark, x_name="time, s"))
-            chart.update()
+            redraw(chart, curves_chart(shown, dark=self.page.dark))
 
         choice.on_value_change(select)
 

@@ -12,6 +12,7 @@ from ..web_page import number
 from .charts import error_chart
 from .jobs import Job
 from .session import CONTROL, EXPORTS, RESULT, identify_command
+from .shown_charts import redraw
 from .stage import Stage, State, banner
 
 _CHECKED_FIRST = (
@@ -128,6 +129,4 @@ class IdentifyStage(Stage):
         self._chart.set_visibility(bool(progress.errors))
         if progress.errors and (job.running or self._drawn != len(progress.errors)):
             self._drawn = len(progress.errors)
-            self._chart.options.clear()
-            self._chart.options.update(error_chart(progress.errors, spent, self.page.dark))
-            self._chart.update()
+            redraw(self._chart, error_chart(progress.errors, spent, self.page.dark))

@@ -8,7 +8,7 @@ from nicegui import events, ui
 from nicegui.element import Element
 from typing_extensions import override
 
-from ..dynamics import mode_frequencies
+from ..dynamics import belt_modes
 from ..errors import InputError
 from ..identification.report.units import readable_unit
 from ..machine import Machine, motion_limits
@@ -171,8 +171,8 @@ def plausibility(machine: Machine) -> tuple[list[list[str]], list[tuple[str, str
             ["acceleration", *(number(m.force / m.inertia) for _, m in moves), speed.replace("/s", "/s²")],
             ["top speed", *(number(m.speed) for _, m in moves), speed],
         ]
-    modes = [frequency for frequency in mode_frequencies(machine).tolist() if frequency > 0.0]
-    others = [(f"vibration {k} on the belts", number(f), "Hz") for k, f in enumerate(modes[:_MODES], start=1)]
+    modes = belt_modes(machine)[:_MODES]
+    others = [(f"vibration {k} on the belts", number(f), "Hz") for k, f in enumerate(modes, start=1)]
     for sensor in machine.sensors:
         for name in ("noise", "resolution"):
             if value := getattr(sensor, name, 0.0):

@@ -13,12 +13,12 @@ from typer import Argument, Option
 from ..errors import InputError
 from ..files import locked_folder, output_batch, output_folder
 from ..operating_system import quoted
+from ..option_texts import MAX_SEED
 from ..parallel import map_tasks
 from .application import CommandWithChoices, app, register_agents
 from .messages import collect_warnings, value_errors_as_input_errors
 from .options import (
     CONTROL_PERIOD,
-    MAX_SEED,
     ControllersArgument,
     EpisodesOption,
     MachineOption,

@@ -8,11 +8,11 @@ from typing import Annotated
 
 from typer import Argument, Option
 
-MAX_SEED = 2**31 - 1
+from .. import option_texts
+from ..option_texts import MAX_EPISODES
 
-_MACHINE = "A machine.json or a built-in name (see `hframe machines`)."
-MachineOption = Annotated[str, Option(help=_MACHINE)]
-MachineArgument = Annotated[str, Argument(help=_MACHINE)]
+MachineOption = Annotated[str, Option(help=option_texts.MACHINE)]
+MachineArgument = Annotated[str, Argument(help=option_texts.MACHINE)]
 OutOption = Annotated[Path, Option(help="Folder for the results; created if it does not exist.")]
 MaxRowsOption = Annotated[
     int,
@@ -23,15 +23,13 @@ MaxRowsOption = Annotated[
         "but at least 20,000.",
     ),
 ]
-TaskOption = Annotated[
-    str, Option(help="Task: {tasks}, or module:name, also of my_module.py in this folder.")
-]
+TaskOption = Annotated[str, Option(help=option_texts.TASK)]
 PathOption = Annotated[
     str | None,
     Option(help="Path to follow, for the task track: circle, square, lissajous or a CSV of x_m,y_m."),
 ]
-RandomizeOption = Annotated[str, Option(help="Randomization of each episode's machine: {randomizations}.")]
-EpisodesOption = Annotated[int, Option(min=1, max=10**6, help="Number of episodes of each controller.")]
+RandomizeOption = Annotated[str, Option(help=option_texts.RANDOMIZE)]
+EpisodesOption = Annotated[int, Option(min=1, max=MAX_EPISODES, help=option_texts.EPISODES)]
 ControllersArgument = Annotated[
     list[str],
     Argument(
@@ -39,11 +37,9 @@ ControllersArgument = Annotated[
         "a model of stable-baselines3 (NAME.zip), or module:name."
     ),
 ]
-SensorsOption = Annotated[
-    str, Option(help="What controllers observe: {sensors}; state is exact, the others are measurements.")
-]
+SensorsOption = Annotated[str, Option(help=option_texts.SENSORS)]
 CONTROL_PERIOD = 0.01  # s, as in EnvConfig, which is not imported because it would delay every command
-PeriodOption = Annotated[float, Option(help="Control period in seconds, 1e-5 to 10.")]
+PeriodOption = Annotated[float, Option(help=option_texts.PERIOD)]
 RecordingsArgument = Annotated[Path, Argument(help="A folder of recordings, one run per file.")]
 RayOption = Annotated[
     str | None,

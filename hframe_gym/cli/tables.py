@@ -11,7 +11,7 @@ from rich import box
 from rich.markup import escape
 from rich.table import Table
 
-from ..dynamics import mode_frequencies
+from ..dynamics import belt_modes
 from ..effects import EFFECTS
 from ..effects.smooth_table import TABLE_FAMILY
 from ..machine import (
@@ -238,11 +238,9 @@ def machine_table() -> Table:
     table = _table("machine", "description")
     for name, make_machine in BUILTIN_MACHINES.items():
         machine = make_machine()
-        frequencies = [f for f in mode_frequencies(machine) if f > 0]
         facts = [_count(len(machine.coordinates), "coordinate"), _count(len(machine.belts), "belt")]
-        if frequencies:
-            modes = ", ".join(f"{f:.1f}" for f in frequencies[:LISTED_MODES])
-            facts.append(f"belt modes {modes}{', ...' if len(frequencies) > LISTED_MODES else ''} Hz")
+        if modes := _lowest_modes(machine):
+            facts.append(f"belt modes {modes}")
         table.add_row(name, f"{escape(machine.description)}\n[dim]{', '.join(facts)}[/dim]")
     return table
 
@@ -406,8 +404,11 @@ def _limits_table(machine: Machine) -> Table:
 
 def belt_mode_line(machine: Machine) -> str:
     """Describe in one line the lowest three natural frequencies, Hz, of the masses on the belts."""
-    modes = [f for f in mode_frequencies(machine).tolist() if f > 0]
-    if not modes:
-        return "belt modes: none (no elastic belt)"
-    more = ", ..." if len(modes) > LISTED_MODES else ""
-    return "belt modes: " + ", ".join(f"{f:.1f}" for f in modes[:LISTED_MODES]) + f"{more} Hz"
+    return f"belt modes: {_lowest_modes(machine) or 'none (no elastic belt)'}"
+
+
+def _lowest_modes(machine: Machine) -> str:
+    """Return the lowest belt modes with their unit, such as "18.6, 33.1, 40.0, ... Hz"; "" without elastic belts."""
+    modes = [f"{frequency:.1f}" for frequency in belt_modes(machine)]
+    listed = [*modes[:LISTED_MODES], "..."] if len(modes) > LISTED_MODES else modes
+    return f"{', '.join(listed)} Hz" if listed else ""

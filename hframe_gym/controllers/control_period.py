@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..dynamics import mode_frequencies
+from ..dynamics import belt_modes
 from ..machine import Machine
 
 # Control periods per period of the slowest belt mode, at least, where one is suggested.
@@ -17,26 +17,22 @@ def shorter_period(machine: Machine, period: float) -> float | None:
     It is 1, 2 or 5 times a power of ten. A sampled controller cannot observe or damp a vibration above half its rate
     (Nyquist frequency). None if the `period`, s, suffices or no belt vibrates.
     """
-    slowest = _slowest_mode(machine)
-    if slowest is None or slowest <= 0.5 / period:
+    modes = belt_modes(machine)
+    if not modes or modes[0] <= 0.5 / period:
         return None
-    longest = 1.0 / (SAMPLES_PER_MODE * slowest)
+    longest = 1.0 / (SAMPLES_PER_MODE * modes[0])
     decade = 10.0 ** np.floor(np.log10(longest))
     return float(max(step * decade for step in (1.0, 2.0, 5.0) if step * decade <= longest))
 
 
 def period_concern(machine: Machine, period: float) -> str | None:
     """Return a warning with what `shorter_period` suggests in place of `period`, s; None if nothing."""
-    shorter, slowest = shorter_period(machine, period), _slowest_mode(machine)
+    shorter = shorter_period(machine, period)
     if shorter is None:
         return None
+    slowest = belt_modes(machine)[0]
     return (
         f"machine {machine.name!r}: its slowest belt mode, {slowest:.0f} Hz, is above half the control rate of "
         f"{1.0 / period:.0f} Hz, so no controller can damp it; try a control period of {shorter:g} s "
         f"(--period {shorter:g})"
     )
-
-
-def _slowest_mode(machine: Machine) -> float | None:
-    """Return the lowest frequency of a vibration on the belts, Hz; None if there is none."""
-    return min((float(f) for f in mode_frequencies(machine) if f > 0.0), default=None)

@@ -8,7 +8,7 @@ import numpy as np
 from typing_extensions import override
 
 from ..arrays import Actions, PreviewedGoals, TravelStates
-from ..dynamics import mode_frequencies
+from ..dynamics import belt_modes
 from ..machine import Machine
 from .base import CONTROLLERS, FullStateController
 from .models.motion_model import OperatingPointGrid
@@ -43,7 +43,7 @@ class TextbookPID(FullStateController):
 
     def __init__(self, machine: Machine, period: float = 0.01) -> None:
         super().__init__(machine, period)
-        modes = [frequency for frequency in mode_frequencies(machine) if frequency > 0.0]
+        modes = belt_modes(machine)
         bandwidth = 2.0 * np.pi * min([0.5 / period, *modes]) / FREQUENCY_MARGIN  # rad/s
         # Mass and friction of all coordinates, seen along the axes with unstretched belts, kg and Ns/m, each (axes,).
         travel_squared = self.model.rigid**2

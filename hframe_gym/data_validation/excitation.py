@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import Array
-from ..dynamics import mode_frequencies
+from ..dynamics import belt_modes
 from ..identification import Dataset
 from ..machine import DRIVE_KINDS, Machine, rigid_motions
 from ..recordings import Recording, bridge_blanks, comparison_window, peak_to_peak
@@ -151,7 +151,7 @@ def _amplitude(
 def _frequencies(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
     """Report the spectrum of each input relative to the machine's lowest belt mode."""
     findings = []
-    modes = [float(f) for f in mode_frequencies(machine) if f > 0]
+    modes = belt_modes(machine)
     for column, channel in enumerate(machine.input_channels):
         grids, powers = [], []
         for recording in recordings:

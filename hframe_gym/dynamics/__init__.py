@@ -19,6 +19,7 @@ from .physics.effect_instances import instances_with_state
 from .physics.equations import Equations, ForceBalance
 from .physics.linearization import (
     StateSpace,
+    belt_modes,
     linearize,
     matrix_exponential,
     mode_frequencies,
@@ -42,6 +43,7 @@ __all__ = [
     "NotFiniteError",
     "StateSpace",
     "belt_forces",
+    "belt_modes",
     "belt_states",
     "delayed_voltages",
     "effect_forces",

@@ -329,3 +329,16 @@ class EnvironmentBatch:
         for first, last in block_ranges(index):
             self.observations.write_tool(first, last, tool)
         return distances(tool[index], self.references.goals(index))
+
+
+def batch_of(environment: Any) -> EnvironmentBatch:
+    """Return the batch behind an environment, single, vector, or for stable-baselines3, or behind its wrapper.
+
+    Raises:
+        InputError: If the environment is not one of this package.
+    """
+    native = environment.unwrapped
+    batch = getattr(getattr(native, "envs", native), "batch", None)
+    if not isinstance(batch, EnvironmentBatch):
+        raise InputError(f"{environment!r} is not an environment of this package")
+    return batch

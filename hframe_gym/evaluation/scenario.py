@@ -35,7 +35,7 @@ from ..envs import (
     as_task,
     observed_machine,
 )
-from ..envs.environment_batch import EnvironmentBatch
+from ..envs.environment_batch import EnvironmentBatch, batch_of
 from ..errors import InputError, suggestion
 from ..machine import METERS, AxisUnit, Machine
 from ..registry import Registry, load_plugins, names_module
@@ -308,7 +308,7 @@ def make_controller(
             a wrapper changes the observations or actions of the environment, or its task previews goals at other times
             than the ends of the next control periods.
     """
-    batch = _batch_of(machine)
+    batch = _observed_batch(machine)
     if batch is not None:
         config = batch.config
         of_environment = Scenario(
@@ -347,16 +347,12 @@ def make_controller(
     )
 
 
-def _batch_of(environment: Any) -> EnvironmentBatch | None:
+def _observed_batch(environment: Any) -> EnvironmentBatch | None:
     """Return the batch of an environment, None for another object; raise InputError if a wrapper changes its spaces."""
     if isinstance(environment, str | Path | Machine | Scenario) or not hasattr(environment, "unwrapped"):
         return None
-    native = environment.unwrapped
-    batch = getattr(getattr(native, "envs", native), "batch", None)
-    if not isinstance(batch, EnvironmentBatch):
-        raise InputError(f"make_controller: {environment!r} is not an environment of this package")
-    wrapper = environment
-    while wrapper is not native:
+    batch, wrapper = batch_of(environment), environment
+    while wrapper is not environment.unwrapped:
         observed = getattr(wrapper, "single_observation_space", wrapper.observation_space)
         commanded = getattr(wrapper, "single_action_space", wrapper.action_space)
         # VecNormalize of stable-baselines3 scales observations and leaves their space as it is.

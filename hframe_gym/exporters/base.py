@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import override
 
+from .. import option_texts
 from ..errors import InputError
 from ..files import output_folder, write_files
 from ..machine import Coordinate, Machine, rest_positions_per_axis, rest_state
@@ -84,9 +85,7 @@ class MachineExporter(Exporter):
     # Whether each file is of use without the others; --out may then name one of them.
     separable: ClassVar[bool] = True
 
-    machine: str | Path | Machine = option(
-        "hframe", "A machine.json or a built-in name (see `hframe machines`).", cli_type=str
-    )
+    machine: str | Path | Machine = option("hframe", option_texts.MACHINE, cli_type=str)
 
     @abstractmethod
     def files(self, machine: Machine) -> Files:

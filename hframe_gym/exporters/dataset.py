@@ -9,9 +9,11 @@ from typing import Any
 
 from typing_extensions import override
 
+from .. import option_texts
 from ..errors import InputError
 from ..files import output_folder
 from ..machine import Machine
+from ..option_texts import MAX_EPISODES, MAX_SEED
 from .base import EXPORTERS, Exporter, argument, option
 
 
@@ -27,17 +29,13 @@ class DatasetExporter(Exporter):
         "Controllers: {controllers}, random (random actions), a shipped agent ({agents}), the folder of a trained "
         "agent, or module:name."
     )
-    machine: str | Path | Machine = option(
-        "hframe", "A machine.json or a built-in name (see `hframe machines`).", cli_type=str
-    )
-    task: str = option("reach", "Task: {tasks}, or module:name, also of my_module.py in this folder.")
-    randomize: str = option("none", "Randomization of each episode's machine: {randomizations}.")
-    sensors: str = option(
-        "state", "What controllers observe: {sensors}; state is exact, the others are measurements."
-    )
-    period: float = option(0.01, "Control period in seconds, 1e-5 to 10.")
-    episodes: int = option(100, "Number of episodes of each controller.", least=1, most=10**6)
-    seed: int = option(0, "Seed of the first episode; episode i has the seed + i.", least=0, most=2**31 - 1)
+    machine: str | Path | Machine = option("hframe", option_texts.MACHINE, cli_type=str)
+    task: str = option("reach", option_texts.TASK)
+    randomize: str = option("none", option_texts.RANDOMIZE)
+    sensors: str = option("state", option_texts.SENSORS)
+    period: float = option(0.01, option_texts.PERIOD)
+    episodes: int = option(100, option_texts.EPISODES, least=1, most=MAX_EPISODES)
+    seed: int = option(0, "Seed of the first episode; episode i has the seed + i.", least=0, most=MAX_SEED)
     normalize: bool = option(False, "Store observations and goals divided by their scales.")
     flat: bool = option(False, "Store an observation as one array instead of a dict.")
     author: str | None = option(None, "Author in the metadata of the data sets.")

@@ -10,9 +10,16 @@ from typing_extensions import override
 
 from ..arrays import Array
 from ..dynamics import Equations, MotionPoint
-from ..machine import AppliedEffect, Machine, argument_names, motion_limits, rest_state, rigid_motions
+from ..machine import (
+    AppliedEffect,
+    Machine,
+    argument_names,
+    motion_limits,
+    rest_state,
+    rigid_motions,
+    standard_deviations,
+)
 from .base import EXPORTERS, Files, MachineExporter, axis_range, commented, option, plain
-from .uncertainty import standard_deviations
 
 # Speeds over the highest one. Stribeck curves bend at a hundredth to a tenth of it.
 _SPEEDS = np.geomspace(1e-4, 1.0, 41)

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from typing_extensions import override
 
+from .. import option_texts
 from ..controllers import ModelBasedController, TextbookPID
 from ..machine import Machine
 from .base import (
@@ -55,7 +56,7 @@ class GainsExporter(MachineExporter):
     Example:  hframe export gains --machine hframe --period 0.002 --out out/gains
     """
 
-    period: float = option(0.01, "Control period in seconds, 1e-5 to 10.")
+    period: float = option(0.01, option_texts.PERIOD)
     at: list[str] | None = option(None, "Goal for which the state feedback is designed, as AXIS=POSITION.")
 
     @override

@@ -27,10 +27,9 @@ import numpy as np
 
 from ..arrays import Array
 from ..errors import InputError
-from ..machine import Machine
+from ..machine import Machine, standard_deviations
 from .base import MachineExporter, operating_point, option
 from .linear_model import axis_modes
-from .uncertainty import standard_deviations
 
 Shaper = Literal["zv", "mzv", "ei"]
 SHAPERS: tuple[Shaper, ...] = ("zv", "mzv", "ei")

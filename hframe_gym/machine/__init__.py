@@ -21,6 +21,7 @@ from .declaration import (
 from .diagram import draw_machine
 from .drive_kinds import DRIVE_KINDS, DriveKind, DriveLaw
 from .effect import HOOKS, AppliedEffect, Effect, EffectParameter, Hook, argument_names
+from .error_propagation import standard_deviations
 from .machine import Contact, Machine
 from .motion import (
     MotionLimits,
@@ -116,6 +117,7 @@ __all__ = [
     "rigid_motions",
     "slow_loads",
     "stage_geometry",
+    "standard_deviations",
     "summary",
     "with_constant_stiffness",
 ]

@@ -166,7 +166,7 @@ def test_a_registered_quantity_works_by_its_name():
         (lambda: PenaltyWrapper(HFrameEnv(), {"torque": 1.0}), "torque"),
         (lambda: PenaltyWrapper(HFrameEnv(), {"energy": float("nan")}), "the weight of 'energy' is nan"),
         (lambda: CostWrapper(HFrameEnv(), {}), "name at least one quantity of action"),
-        (lambda: CostWrapper(gym.make("CartPole-v1"), {"energy": 1.0}), "no environment of this package"),
+        (lambda: CostWrapper(gym.make("CartPole-v1"), {"energy": 1.0}), "not an environment of this package"),
         (
             lambda: VectorCostWrapper(HFrameVectorEnv(2, autoreset_mode="SameStep"), {"energy": 1.0}),
             "NextStep",

@@ -37,7 +37,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...arrays import Array, ElapsedTimes, Mask, ToolPositions, TravelStates, Volts
-from ...dynamics import mode_frequencies
+from ...dynamics import belt_modes
 from ..base import check_period
 from ..models.linear_motion import reachability, scaled_matrices, state_scale
 from ..models.motion_model import MotionModel, OperatingPointGrid
@@ -95,7 +95,7 @@ class TransferDesign:
         self.period = check_period(period)
         self.grid = OperatingPointGrid(model.machine)
         states, inputs = 2 * len(model.mass), model.drive.shape[1]
-        modes = [frequency for frequency in mode_frequencies(model.machine) if frequency > 0.0]
+        modes = belt_modes(model.machine)
         mode_period = 1.0 / min(modes) if modes else 0.0
         # Fewer than states / inputs periods cannot bring every state to zero.
         self.shortest = max(-(-states // inputs), round(SHORTEST_MODE_PERIODS * mode_period / period))

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...arrays import Array, CoordinateForces, ParameterRows, ToolPositions, TravelStates
-from ...dynamics import mode_frequencies, rollout
+from ...dynamics import belt_modes, rollout
 from ..base import SIMULATION_STEP_S
 from ..models.linear_motion import scaled_matrices, state_scale
 from ..models.motion_model import MotionModel
@@ -61,7 +61,7 @@ class ArrivalPlanner:
 
     def __init__(self, model: MotionModel, period: float, longest: int) -> None:
         self._model, self._longest = model, longest
-        modes = [frequency for frequency in mode_frequencies(model.machine) if frequency > 0.0]
+        modes = belt_modes(model.machine)
         rest_s = REST_MODE_PERIODS / min(modes) if modes else 0.0
         self._hold = max(3, int(np.ceil(rest_s / period - 0.3)))  # planned periods after the arrival
         self._scale = state_scale(2 * len(model.mass))

@@ -142,6 +142,11 @@ def mode_frequencies(machine: Machine, position: ArrayLike | None = None) -> Arr
     return np.sqrt(np.where(squared < _RIGID_EIGENVALUE * scale, 0.0, squared)) / (2 * np.pi)
 
 
+def belt_modes(machine: Machine) -> list[float]:
+    """Return the frequencies at which the masses vibrate on the belts, Hz, ascending; empty without elastic belts."""
+    return [float(frequency) for frequency in mode_frequencies(machine) if frequency > 0.0]
+
+
 def resolved_step(machine: Machine, longest_step: float) -> float:
     """Return an integration step, s, that resolves the fastest vibration and delays, at most `longest_step`, s.
 

@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 from ...effects import EFFECTS
 from ...errors import InputError
 from ...machine import Machine
-from ..environment_batch import EnvironmentBatch
+from ..environment_batch import batch_of
 from .disturbances import DISTURBANCES
 
 # Distinguishes the random numbers of disturbances from those of the environment with the same seed.
@@ -34,12 +34,9 @@ class _Forces:
     """Random forces on the tool of a batch."""
 
     def __init__(self, env: Any, name: str, options: Mapping[str, Any]) -> None:
-        batch = getattr(env.unwrapped, "batch", None)
-        if not isinstance(batch, EnvironmentBatch):
-            raise InputError(f"{env} is no environment of this package, so that no force can act on its tool")
-        self.batch: EnvironmentBatch = batch
-        names = list(batch.machine.parameters)
-        wanted = [f"constant_force@{axis}.size" for axis in batch.machine.tool_axes]
+        self.batch = batch_of(env)
+        names = list(self.batch.machine.parameters)
+        wanted = [f"constant_force@{axis}.size" for axis in self.batch.machine.tool_axes]
         if missing := [name for name in wanted if name not in names]:
             raise InputError(
                 f"the machine has no parameter {missing[0]}, through which a disturbance acts; make the environment "
@@ -48,7 +45,7 @@ class _Forces:
         self._rows = [names.index(name) for name in wanted]
         self._process = DISTURBANCES.get(name)(**options)
         self._generator = np.random.default_rng()
-        self.forces = np.zeros((batch.count, len(wanted)))
+        self.forces = np.zeros((self.batch.count, len(wanted)))
 
     def seed(self, seed: Any) -> None:
         """Begin the random numbers of a seed: integer, or list of integers and None; None continues."""

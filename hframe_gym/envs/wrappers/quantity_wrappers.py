@@ -19,7 +19,7 @@ from typing_extensions import override
 
 from ...arrays import Array
 from ...errors import InputError, is_number
-from ..environment_batch import EnvironmentBatch
+from ..environment_batch import batch_of
 from .quantities import QUANTITIES, Quantity, StepRecord
 
 KEY = "quantities"  # of the observation entry that `ObserveQuantities` adds
@@ -30,14 +30,11 @@ class _Recorder:
     """Makes the record of each step of a batch, and remembers the actions of the step before."""
 
     def __init__(self, env: Any, names: Sequence[str]) -> None:
-        batch = getattr(env.unwrapped, "batch", None)
-        if not isinstance(batch, EnvironmentBatch):
-            raise InputError(f"{env} is no environment of this package, so that its quantities are not known")
         if not names:
             raise InputError(f"name at least one quantity of {', '.join(QUANTITIES)}")
-        self.batch: EnvironmentBatch = batch
+        self.batch = batch_of(env)
         self.quantities: dict[str, Quantity] = {name: QUANTITIES.get(name) for name in names}
-        self._last = np.zeros((batch.count, len(batch.machine.drives)))
+        self._last = np.zeros((self.batch.count, len(self.batch.machine.drives)))
 
     def begin(self, mask: Any = slice(None)) -> None:
         """Forget the actions of environments in which an episode begins."""

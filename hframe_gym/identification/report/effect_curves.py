@@ -11,11 +11,12 @@ import numpy as np
 
 from ...arrays import Array
 from ...effects.smooth_table import TABLE_FAMILY
-from ...machine import AppliedEffect, Coordinate, Machine, argument_names
+from ...machine import AppliedEffect, Coordinate, Machine, argument_names, standard_deviations
 from ...web_page import Panel, color, number
 
 _POINTS = 400
 _BAND = 2.0  # standard deviations
+_STEP = 0.5  # of a parameter, in standard deviations: curves may jump
 _MAX_PERIODS = 12  # of an effect that repeats; more of them cannot be told apart in a panel
 _SPEEDS = 8.0  # Largest speed drawn, in multiples of the speed that a parameter of the effect states.
 
@@ -99,12 +100,14 @@ def effect_curve(effect: AppliedEffect, machine: Machine, curves: Mapping[str, A
         turn = 2.0 * math.pi
         if coordinate and coordinate.kind == "rotary" and symbol == "q" and np.ptp(x) > turn:
             ahead, _ = _value(hook, symbol, x + turn, effect, coordinate)
-            if np.allclose(value(effect, coordinate.coulomb), ahead(effect, coordinate.coulomb)):
+            if np.allclose(value(machine), ahead(machine)):
                 x = np.linspace(0.0, turn, _POINTS)
                 value, _ = _value(hook, symbol, x, effect, coordinate)
         if hook == "voltage":
             quantity += variable.rpartition(",")[2]
-        y, std = _with_std(value, effect, machine, coordinate)
+        y = value(machine)
+        std = standard_deviations(machine, value, _STEP)
+        std = np.zeros_like(y) if std is None else std
         return EffectCurve(effect, variable, quantity, x, y, std) if np.isfinite(y).all() else None
     return None
 
@@ -194,53 +197,22 @@ def _symmetric(top: float, label: str) -> tuple[Array, str] | None:
 
 def _value(
     hook: str, symbol: str, x: Array, effect: AppliedEffect, coordinate: Coordinate | None
-) -> tuple[Callable[[AppliedEffect, float], Array], str]:
-    """Return the function (effect, Coulomb friction) -> curve, and its name with the unit."""
-    if hook in ("force", "coulomb"):
-        assert coordinate is not None
-        site, unit = coordinate.name, coordinate.unit("force")
-        if hook == "force":
-            return (lambda e, _: np.broadcast_to(e(hook, **{symbol: x}), x.shape)), f"force on {site}, {unit}"
-        sign = np.sign(x) if symbol == "v" else 1.0
-        return (
-            lambda e, level: (
-                sign * (level + e(hook, **{symbol: np.abs(x) if symbol == "v" else x}, level=level))
-            ),
-            f"dry friction on {site}, {unit}",
-        )
-    return (lambda e, _: e(hook, **{symbol: x}) - x), f"change of the command of {effect.site},"
+) -> tuple[Callable[[Machine], Array], str]:
+    """Return the function from a machine with the effect to the curve over `x`, and its name with the unit."""
 
+    def of(machine: Machine) -> AppliedEffect:
+        return next(e for e in machine.effects if e.label == effect.label)
 
-def _with_std(
-    value: Callable[[AppliedEffect, float], Array],
-    effect: AppliedEffect,
-    machine: Machine,
-    coordinate: Coordinate | None,
-) -> tuple[Array, Array]:
-    """Return a curve and its standard deviation, linear in the parameters, from their covariance."""
-    level = coordinate.coulomb if coordinate is not None else 0.0
-    curve = np.asarray(value(effect, level), dtype=float)
-    uncertainty = machine.uncertainty
-    if uncertainty is None:
-        return curve, np.zeros_like(curve)
-    derivatives, rows = [], []
-    for name in uncertainty.names:
-        std = uncertainty.std(name) or 0.0
-        owner, _, key = name.rpartition(".")
-        is_level = coordinate is not None and name == f"{coordinate.name}.coulomb"
-        if std == 0.0 or not (is_level or (owner == effect.label and key in effect.parameters)):
-            continue
-        sides = []
-        for step in (-0.5 * std, 0.5 * std):
-            if is_level:
-                sides.append(value(effect, level + step))
-            else:
-                changed = {**effect.parameters, key: effect.parameters[key] + step}
-                sides.append(value(effect.with_parameters(changed), level))
-        derivatives.append((sides[1] - sides[0]) / std)
-        rows.append(uncertainty.names.index(name))
-    if not rows:
-        return curve, np.zeros_like(curve)
-    slopes = np.array(derivatives)
-    variance = np.einsum("in,ij,jn->n", slopes, uncertainty.covariance[np.ix_(rows, rows)], slopes)
-    return curve, np.sqrt(np.maximum(variance, 0.0))
+    if hook == "voltage":
+        return (lambda m: of(m)(hook, **{symbol: x}) - x), f"change of the command of {effect.site},"
+    assert coordinate is not None
+    site, unit = coordinate.name, coordinate.unit("force")
+    if hook == "force":
+        return (lambda m: np.broadcast_to(of(m)(hook, **{symbol: x}), x.shape)), f"force on {site}, {unit}"
+    sign, at = (np.sign(x), np.abs(x)) if symbol == "v" else (1.0, x)
+
+    def dry_friction(machine: Machine) -> Array:
+        level = machine.coordinate(site).coulomb
+        return np.asarray(sign * (level + of(machine)(hook, **{symbol: at}, level=level)))
+
+    return dry_friction, f"dry friction on {site}, {unit}"

@@ -1,4 +1,4 @@
-"""Standard deviations of quantities that follow from identified parameters, to first order (delta method)."""
+"""Standard deviations of quantities that follow from identified parameters."""
 
 from __future__ import annotations
 
@@ -7,17 +7,19 @@ from collections.abc import Callable
 import numpy as np
 
 from ..arrays import Array
-from ..machine import Machine
-
-# Step of the differences, in standard deviations: there a quantity is linear, and rounding is small.
-_STEP_IN_STD = 1e-2
+from .machine import Machine
 
 
-def standard_deviations(machine: Machine, quantity: Callable[[Machine], Array]) -> Array | None:
-    """Propagate the covariance of the identified parameters to quantities.
+def standard_deviations(
+    machine: Machine, quantity: Callable[[Machine], Array], step: float = 1e-2
+) -> Array | None:
+    """Propagate the covariance of the identified parameters to quantities, to first order (delta method).
 
     Args:
+        machine: Machine with the covariance.
         quantity: Function from a machine to quantities in any unit, an array of any one shape.
+        step: Step of the central differences, in standard deviations of the parameter. Where a quantity jumps, short
+            ones exaggerate its change.
 
     Returns:
         Standard deviations in the units of the quantities, in their shape; None if the machine has no covariance.
@@ -30,11 +32,10 @@ def standard_deviations(machine: Machine, quantity: Callable[[Machine], Array]) 
         std = machine.uncertainty.std(name)
         if name not in values or not std:
             continue
-        step = _STEP_IN_STD * std
         ahead, behind = (
-            quantity(machine.replace({name: values[name] + side * step})) for side in (1.0, -1.0)
+            quantity(machine.replace({name: values[name] + side * step * std})) for side in (1.0, -1.0)
         )
-        rows.append((ahead - behind) / (2.0 * step))
+        rows.append((ahead - behind) / (2.0 * step * std))
         kept.append(i)
     if not kept:
         return None
