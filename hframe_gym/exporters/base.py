@@ -213,7 +213,7 @@ def _plain_value(value: Any) -> Any:
 
 
 def axis_range(coordinate: Coordinate) -> tuple[float, float]:
-    """Return the range of a coordinate, m or rad; without one, 0.25 m or one turn to either side."""
+    """Return the range of a coordinate, m or rad; without one, -0.25 to 0.25 m, or one turn from 0."""
     return coordinate.range or ((0.0, 2.0 * np.pi) if coordinate.kind == "rotary" else (-0.25, 0.25))
 
 

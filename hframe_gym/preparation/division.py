@@ -51,7 +51,7 @@ def copied_runs(recordings: Sequence[Recording], kept: Sequence[str] = ()) -> di
 
     Args:
         recordings: All runs, in the order in which the first one of equal runs is kept.
-        kept: Names of runs to keep where the others allow it.
+        kept: Names of runs that are used and their copies not, for example the held-out ones.
 
     Returns:
         Why a run is a copy, as the predicate of a sentence, by its name.

@@ -26,11 +26,12 @@ SMALLEST_NOISE_M = 1e-7
 
 
 def prior_deviation(machine: Machine, name: str, declared: float) -> float:
-    """Return the standard deviation of the logarithm of a parameter's ratio to its value in the machine.
+    """Return how uncertain a parameter is before its estimation: std of ln(true value / value), dimensionless.
 
     Args:
+        machine: Machine with the value, and with its covariance if it was identified.
         name: Full name of the parameter, for example "x.mass".
-        declared: Standard deviation of a declared value, dimensionless, which an identified one does not exceed.
+        declared: Standard deviation for a value that was not identified, dimensionless. It is also the upper limit.
     """
     std = machine.uncertainty.std(name) if machine.uncertainty else None
     value = machine.parameters[name]

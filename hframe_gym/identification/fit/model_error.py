@@ -22,7 +22,7 @@ from ...effects.smooth_table import TABLE_FAMILY
 from ...machine import Machine
 from ...preparation.dataset import Dataset
 from ..judge import run as judge
-from ..judge.observer import likeliest, simulates_best
+from ..judge.observer import best_in_simulation, likeliest
 from ..judge.run import MIN_RUNS_COMPARED
 from ..predict.prediction import (
     NARROWEST_WITH_VOLTAGE_ERRORS,
@@ -177,7 +177,7 @@ def refined_in_simulation(fitted: Fit, data: Dataset) -> Fit:
     The final machine is used in simulation, whereas an observer (feedback of the measurements) hides slow errors of a
     fit, and with them information about the parameters. Fits at all smaller bandwidths are therefore compared by the
     product of two costs (sums of squared residuals): of the simulation, and of the prediction with the bandwidth of
-    `fitted` (`judge.observer.simulates_best`).
+    `fitted` (`judge.observer.best_in_simulation`).
 
     Args:
         fitted: Final fit at any observer bandwidth.
@@ -201,7 +201,9 @@ def refined_in_simulation(fitted: Fit, data: Dataset) -> Fit:
         again = continue_fit(best, data, SIMULATION)
         return again, _cross_validated_cost(again, data) * cost(again.machine, fitted.bandwidth)
 
-    best = simulates_best(((narrower, product(narrower)) for narrower in _narrowing(fitted, data)), simulated)
+    best = best_in_simulation(
+        ((narrower, product(narrower)) for narrower in _narrowing(fitted, data)), simulated
+    )
     return best if best is fitted else polish(best, data)
 
 

@@ -221,11 +221,11 @@ def _compared(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> list[R
     if len(data.runs) < judge.MIN_RUNS_COMPARED:
         return []
     common = continue_fit(fitted, data, SEARCH_BANDWIDTH)
-    if judge.one_value_explains(common.chi2, common.floor, criteria):
+    if judge.explains_all_runs(common.chi2, common.floor, criteria):
         return []
 
     def explains(each: RunDifferences) -> bool:
-        return judge.one_value_explains(each.chi2, common.floor, criteria)
+        return judge.explains_all_runs(each.chi2, common.floor, criteria)
 
     # From the machine of the runs that agree: thresholds of effects may be lost in a compromise with a different run.
     return [each._replace(explains=explains(each)) for each in _fits_by_run(fitted, data, common.chi2)]

@@ -35,16 +35,18 @@ def likeliest(narrowing: Iterable[tuple[Fitted, float]], simulated: tuple[Fitted
     return simulated[0] if simulated[1] < least else best
 
 
-def simulates_best(
+def best_in_simulation(
     narrowing: Iterable[tuple[Fitted, float]], simulated: Callable[[Fitted], tuple[Fitted, float]]
 ) -> Fitted:
-    """Choose the fit that is best in simulation, without predicting worse in return.
+    """Choose the fit with the smallest product of its costs in simulation and in prediction.
+
+    Simulation alone may choose wrong parameters where its errors grow without limit.
 
     Args:
-        narrowing: Fits with the product of their costs in simulation and in prediction, from the present observer to
-            narrower ones. Simulation alone may choose wrong parameters where errors grow without limit.
-        simulated: Function that returns the fit in simulation which continues a fit, and its product of costs, that of
-            the simulation by cross-validation: such a fit adapts to errors of the model.
+        narrowing: Fits with their products, from the present observer to narrower ones.
+        simulated: Function that continues the best of these without an observer, as a fit in simulation, and returns
+            that fit with its product. Its cost in simulation is by cross-validation, because such a fit adapts to
+            errors of the model.
 
     Returns:
         The fit with the smallest product; the earlier of two that are equal.

@@ -175,12 +175,14 @@ def differs_alone(different_run: str | None, chi2: float, chi2_before: float) ->
     return different_run if chi2_before > FAR * chi2 else None
 
 
-def one_value_explains(chi2: float, variance: float, criteria: SelectionCriteria) -> bool:
-    """Return whether a machine explains all runs, with values of their own or without.
+def explains_all_runs(chi2: float, variance: float, criteria: SelectionCriteria) -> bool:
+    """Return whether a machine leaves hardly more error in all runs than a correct one would.
 
     Args:
-        chi2: Chi-squared per sample with the widest observer, dimensionless.
-        variance: Variance of a correct machine's innovations with it / noise variance, dimensionless.
+        chi2: Chi-squared per sample of all runs with the widest observer, dimensionless. The machine has either one
+            value of each parameter for all runs or, of one of them, a value in each run.
+        variance: Chi-squared per sample that a correct machine leaves, dimensionless: the variance of its innovations
+            with this observer / noise variance.
         criteria: Decision threshold `explained_chi2`.
     """
     return chi2 < criteria.explained_chi2 * variance

@@ -170,10 +170,10 @@ def search_goes_on(
     return selected < criteria.max_effects and not (noise_known and only_noise_is_left(error, criteria))
 
 
-def is_worth_pairs(error: FitError, selected: int, criteria: SelectionCriteria) -> bool:
-    """Return whether to search for two effects that hide each other.
+def is_worth_searching_pairs(error: FitError, selected: int, criteria: SelectionCriteria) -> bool:
+    """Return whether to search for two effects that reduce the error only together.
 
-    Not if the error is so small that it may be that of a residue without a name.
+    Not if the selected effects nearly explain the data: a pair that fits the small rest may be none of the machine's.
 
     Args:
         error: Error with the effects selected up to now.

@@ -33,8 +33,8 @@ class Evidence:
         lacking: Force that the machine with effects lacks, relative to that of the drives.
         remaining_prediction: Fraction of the squared error of predictions, beyond the noise at rest, that the effects
             leave. An observer corrects these predictions by the measurements.
-        causes_named: Whether the effects are the causes of the missing force that is left without them, as
-            `dependences.are_causes` finds them without a form of any effect.
+        causes_named: Whether the effects act where the force comes from that is missing without them
+            (`dependences.agree_with_causes`).
         remaining_fast: The same fraction as `remaining_prediction` with the widest observer, which hides slow forces.
         reduction: By how much the effects reduce the squared error of predictions / by how much they do if they are
             right, which is the square of their change of the predictions, dimensionless.

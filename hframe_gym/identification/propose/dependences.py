@@ -133,17 +133,22 @@ _FRICTION_HOOKS = ("coulomb", "friction", "viscous")  # it changes its sign with
 _SENSOR_HOOKS = {"measurement", "measurement_delay"}
 
 
-def are_causes(effects: Sequence[AppliedEffect], ranked: Sequence[Dependence], machine: Machine) -> bool:
-    """Return whether effects are the causes of a missing force that were found without the form of any effect.
+def agree_with_causes(
+    effects: Sequence[AppliedEffect], ranked: Sequence[Dependence], machine: Machine
+) -> bool:
+    """Return whether effects act where the missing force comes from, which `rank_dependences` found without formulas.
+
+    An effect agrees with a cause if it acts on the same component, and its formula depends on the same kind of
+    variable. An effect of a sensor agrees with none: belts that slip imitate a wrong scale, and a true error of a
+    sensor leaves no missing force.
 
     Args:
-        effects: Effects that are to be named.
+        effects: Effects that the search selected.
         ranked: Causes of the force that the machine without them lacks, the strongest first.
+        machine: Machine without them.
 
     Returns:
-        True if the strongest cause is that of an effect, and each effect has a cause among them: it acts on the same
-        component, and its formula depends on the same kind of variable. An effect of a sensor is no cause of a force:
-        belts that slip imitate a wrong scale, and a true error of a sensor leaves none of the disagreement.
+        True if an effect agrees with the strongest cause, and each effect with one of them.
     """
     return judge.names_causes(
         [[_is_cause(effect, cause, effects, machine) for cause in ranked] for effect in effects]

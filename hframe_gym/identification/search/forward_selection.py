@@ -215,7 +215,7 @@ class EffectSearch:
         such pair, or if the error is so small that it may be that of a residue without a name.
         """
         data, criteria, doubted = self.data, self._criteria, self._doubted
-        if doubted is None or not judge.is_worth_pairs(current.error, len(selected), criteria):
+        if doubted is None or not judge.is_worth_searching_pairs(current.error, len(selected), criteria):
             return None
         trial, extended = self._extended(selected, *doubted[1])
         label = extended[-1].effect.label

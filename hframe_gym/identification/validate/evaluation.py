@@ -36,7 +36,7 @@ from ..judge.verdict import (
 from ..predict.prediction import POLISH_STEP, SEARCH_BANDWIDTH, innovation_variance
 from ..predict.start_uncertainty import prediction_residuals
 from ..predict.voltage_errors import simulation_error, with_voltage_errors
-from ..propose.dependences import are_causes, rank_dependences
+from ..propose.dependences import agree_with_causes, rank_dependences
 from ..propose.trial_fits import without_effect
 from ..search.input_timing import is_timing
 from ..search.outcome import SearchOutcome, with_removed, without_names
@@ -221,7 +221,7 @@ def _contradiction(evaluated: Evaluated, differing: Sequence[str]) -> str:
         if reason and not outcome.explained:  # ranking the causes takes seconds
             part = representative_part(outcome.data, outcome.before.machine)
             causes = rank_dependences(outcome.before.machine, part)
-            named = are_causes([s.effect for s in outcome.selected], causes, outcome.before.machine)
+            named = agree_with_causes([s.effect for s in outcome.selected], causes, outcome.before.machine)
             evidence = dataclasses.replace(evidence, causes_named=named)
             if named:
                 evidence = _with_fast_error(evidence, evaluated, differing)

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from hframe_gym.identification.judge.observer import likeliest, simulates_best, simulates_runs_best
+from hframe_gym.identification.judge.observer import best_in_simulation, likeliest, simulates_runs_best
 
 
 @pytest.mark.parametrize(
@@ -50,7 +50,7 @@ def test_the_final_fit_has_the_smallest_product_of_costs(
         continued.append(best)
         return 0, simulated
 
-    assert simulates_best(products.items(), in_simulation) == expected
+    assert best_in_simulation(products.items(), in_simulation) == expected
     assert continued == [min(products, key=lambda bandwidth: products[bandwidth])]
 
 

@@ -71,7 +71,7 @@ def test_a_suspect_that_differs_in_a_parameter(different: str | None, chi2: floa
 
 @pytest.mark.parametrize(("chi2", "explained"), [(1.64, True), (1.66, False)])
 def test_values_of_their_own_explain_in_units_of_the_innovations(chi2: float, explained: bool) -> None:
-    assert judge.one_value_explains(chi2, 1.1, CRITERIA) == explained
+    assert judge.explains_all_runs(chi2, 1.1, CRITERIA) == explained
 
 
 @pytest.mark.parametrize(

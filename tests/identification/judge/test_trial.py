@@ -142,7 +142,7 @@ def test_an_error_as_small_as_noise_of_unknown_size_may_have_a_cause() -> None:
     ("chi2", "selected", "worth"), [(10.0, 0, True), (1.49, 0, False), (10.0, 3, True), (10.0, 4, False)]
 )
 def test_pairs_are_searched_for_where_much_is_left(chi2: float, selected: int, worth: bool) -> None:
-    assert judge.is_worth_pairs(error(chi2), selected, CRITERIA) == worth
+    assert judge.is_worth_searching_pairs(error(chi2), selected, CRITERIA) == worth
 
 
 @pytest.mark.parametrize(

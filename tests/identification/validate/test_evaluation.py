@@ -20,7 +20,7 @@ from hframe_gym.identification.judge.verdict import (
     contradiction_of_no_effect,
     remaining,
 )
-from hframe_gym.identification.propose.dependences import are_causes
+from hframe_gym.identification.propose.dependences import agree_with_causes
 from hframe_gym.identification.validate.evaluation import _with_fast_error
 from hframe_gym.machine import AppliedEffect, Machine
 from hframe_gym.recordings import Recording
@@ -173,7 +173,7 @@ def test_right_effects_remove_the_square_of_what_they_change(
         ([], [("x", "velocity of x")], False),
     ],
 )
-def test_effects_are_causes(
+def test_effects_agree_with_causes(
     labels: list[str], causes: list[tuple[str, str]], expected: bool, hframe: Machine
 ) -> None:
     def applied(label: str) -> AppliedEffect:
@@ -182,4 +182,4 @@ def test_effects_are_causes(
 
     effects = [applied(label) for label in labels]
     ranked = [Dependence(variable, "x", 0.5, component) for component, variable in causes]
-    assert are_causes(effects, ranked, hframe) == expected
+    assert agree_with_causes(effects, ranked, hframe) == expected
