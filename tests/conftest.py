@@ -6,6 +6,7 @@ import gc
 import os
 import sys
 from collections.abc import Callable, Generator
+from functools import partial
 from pathlib import Path
 
 if "PYTEST_XDIST_WORKER" in os.environ:
@@ -17,6 +18,7 @@ import numpy as np
 import pytest
 
 from hframe_gym import cli
+from hframe_gym.evaluation import Scenario
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 
 HEADER = "time_s,v1_V,v2_V,phi1_rad,phi2_rad,x_m,y_m"
@@ -68,6 +70,13 @@ def without_drawing(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave plots out of report pages, for tests of their texts: drawing takes nine tenths of the time of a page."""
     monkeypatch.setattr("hframe_gym.web_page.page.panel_svg", lambda panel, prefix: "")
     monkeypatch.setattr("hframe_gym.identification.report.plots.save_panels", lambda panels, path: None)
+
+
+@pytest.fixture
+def brief_evaluations(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Evaluate agents in training on two episodes of 0.1 s, for tests of what a run writes and says."""
+    monkeypatch.setattr("hframe_gym.agents.training.EVALUATION_EPISODES", 2)
+    monkeypatch.setattr("hframe_gym.agents.training.Scenario", partial(Scenario, duration_s=0.1))
 
 
 @pytest.fixture

@@ -374,6 +374,7 @@ def test_evaluate_takes_a_controller_and_a_task_of_another_module(
 
 
 @pytest.mark.train
+@pytest.mark.usefixtures("brief_evaluations")
 @pytest.mark.parametrize("task", ["folder_tasks:toy-move", "toy-move"], ids=["module and name", "plugin"])
 def test_train_takes_a_task_of_a_module_in_the_current_folder(
     task: str, hframe_command: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -798,6 +799,7 @@ def test_the_proposed_commands_quote_names_with_blanks(hframe_command: Command, 
 
 
 @pytest.mark.train
+@pytest.mark.usefixtures("brief_evaluations")
 def test_the_proposed_commands_repeat_randomization_and_period(
     hframe_command: Command, tmp_path: Path
 ) -> None:

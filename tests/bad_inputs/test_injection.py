@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import json
 import typing
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,6 @@ import pytest
 from hframe_gym.agents import train
 from hframe_gym.agents.agent_files import key_file, refuse_unsigned, sign_checkpoint
 from hframe_gym.errors import InputError
-from hframe_gym.evaluation import Scenario
 from hframe_gym.recordings.machine_file import TABLES
 
 from .commands import hostile_parts, run_command
@@ -147,11 +145,10 @@ def test_the_scorecard_escapes_the_names_of_machines_and_controllers(tmp_path: P
 
 
 @pytest.mark.train
+@pytest.mark.usefixtures("brief_evaluations")
 def test_a_checkpoint_is_resumed_only_where_it_was_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hframe_gym.agents.training.EVALUATION_EPISODES", 2)
-    monkeypatch.setattr("hframe_gym.agents.training.Scenario", partial(Scenario, duration_s=0.1))
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "first"))
     folder = tmp_path / "agent"
     train("ppo", steps=1, out=folder, log=lambda line: None)
