@@ -335,7 +335,7 @@ def prediction_error(
             (`run.weights`). False for an evaluation: equal weights.
 
     Returns:
-        Errors, in the sensors' units, shape (batch, n, sensors); meaningless numbers where nothing was measured.
+        Errors, in the sensors' units, shape (batch, n, sensors); 0 where nothing was measured.
     """
     unscaled = np.ones_like(run.outputs)
     return scaled_errors(
