@@ -337,7 +337,7 @@ def prediction_error(
     Returns:
         Errors, in the sensors' units, shape (batch, n, sensors); 0 where nothing was measured.
     """
-    unscaled = np.ones_like(run.outputs)
+    unscaled = np.isfinite(run.outputs).astype(np.float64)  # and 0 where nothing was measured
     return scaled_errors(
         run.known_outputs, measurements, _zeros(run, data, measurements, fitted), unscaled, 1
     )

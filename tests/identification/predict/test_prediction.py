@@ -108,7 +108,7 @@ def test_values_that_were_not_measured_leave_no_residual(axis: Machine, data: Da
     outputs, weights = data.runs[0].outputs.copy(), data.runs[0].weights.copy()
     outputs[300:310], weights[300:310] = np.nan, 0.0
     run = dataclasses.replace(data.runs[0], outputs=outputs, weights=weights)
-    far = np.full((1, *run.outputs.shape), 5.0)
+    far = np.linspace(0.0, 5.0, len(outputs))[None, :, None]
     assert not prediction_error(run, data, far)[:, 300:310].any()
     prediction = np.zeros((1, *outputs.shape))
     error = residuals(run, data, prediction)[0]
