@@ -182,14 +182,14 @@ def test_criteria_are_passed_to_the_search_and_written_to_the_report() -> None:
 
 def test_an_effect_that_only_the_held_out_run_excites_is_a_hint() -> None:
     """No other run confirms the effect, and held-out runs select nothing. The peak is too short to tell the run."""
-    result = identify(limited_runs([3.0] * 5, peak=3), AXIS)
+    result = identify(limited_runs([3.0] * 4, peak=3), AXIS)
     assert result.effects == ()
     assert [run.name for run in result.held_out.runs] == ["run_3"]
     warnings = " ".join(result.run_warnings)
     assert "run_3 was held out and contradicts the fitted runs" in warnings
     assert "current_limit@motor would explain all runs" in warnings
     assert "Record another run such as run_3" in warnings
-    chosen = identify(limited_runs([3.0] * 5, peak=3), AXIS, held_out=["run_3"])
+    chosen = identify(limited_runs([3.0] * 4, peak=3), AXIS, held_out=["run_3"])
     assert "would explain" not in " ".join(chosen.run_warnings)  # the user chose this division
 
 
