@@ -22,7 +22,8 @@ from ..judge.trial import gives_way
 from ..predict.prediction import SEARCH_BANDWIDTH
 from ..propose.candidates import is_required
 from ..propose.trial_fits import fit_in_place_of
-from .significance import long_run_variance, parameter_values
+from .effect_parameters import parameter_values
+from .long_run_variance import long_run_variance
 
 
 def simplest_first(trials: list[Fit], current: Fit, criteria: SelectionCriteria) -> list[Fit]:

@@ -7,16 +7,11 @@ An effect that reduces the error may still not exist. Measured here are its gain
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from functools import cached_property
 
-import numpy as np
-from numpy.typing import NDArray
-
-from ...arrays import Array
-from ...machine import HOOKS, AppliedEffect, Machine, argument_names
+from ...machine import AppliedEffect
 from ...preparation.dataset import Dataset
-from ..fit.covariance import BLOCK_S
 from ..fit.estimation import Fit
 from ..fit.force_sizes import drive_force, effect_force, force_difference, residue_force
 from ..fit.model_error import (
@@ -27,29 +22,12 @@ from ..fit.model_error import (
     narrower_observer,
 )
 from ..judge import effect as judge
-from ..judge.chance import LongRunVariance
 from ..judge.criteria import SelectionCriteria
-from ..judge.effect import Addition, Chance, EffectEvidence, Forces, ParameterValue, Size
-from ..predict.free_parameters import prior_precision
-from ..predict.linearization import ResidualModel, RunLinearization
-from ..predict.prediction import block_size, map_runs
-from ..propose.candidates import covered_by_runs
+from ..judge.effect import Addition, Chance, EffectEvidence, Forces
+from .effect_parameters import parameter_values
+from .effect_variables import depend_on_same_variable
+from .long_run_variance import long_run_variance
 from .plausibility import plausibility_fault
-
-# Variable of a coordinate, drive or belt by the name of an argument of an effect's formulas (`Effect`).
-_VARIABLES = {
-    "q": "position",
-    "dq": "position",
-    "v": "speed",
-    "direction": "speed",
-    "t": "time",
-    "V": "voltage",
-    "i": "current",
-    "s": "extension",
-    "rate": "extension",
-}
-_TABULATED = {"position", "speed", "time"}  # variables of tables (`search.tables.table_variables`)
-_NOISE_S = 0.05  # s; longer than the correlation of a sensor's noise
 
 
 class TestedFit:
@@ -88,138 +66,6 @@ class TestedFit:
         others = [data.with_updates(n) for n in (data.updates - 1, data.updates + 1) if n > 1]
         others += [data.with_interpolation("straight"), data.with_interpolation("spline")]
         return max(abs(continue_fit(fitted, other, fitted.bandwidth).cost - fitted.cost) for other in others)
-
-
-def depend_on_same_variable(first: AppliedEffect, second: AppliedEffect, machine: Machine) -> bool:
-    """Check whether two effects are functions of the same variable of the same component, such as its speed.
-
-    If so, a small effect may be an error in the formula of a large one: an inaccurate formula of friction leaves a
-    force that depends on the speed as well. A clock whose rate changes acts on all components, and changes with time.
-
-    Args:
-        first: One effect at its component.
-        second: Another effect.
-        machine: Machine on which both act.
-
-    Returns:
-        True for example for Stribeck friction and quadratic drag of one coordinate, two functions of its speed, and for
-        a drifting clock and a winding that warms up. False if only one of them is periodic in the variable, or if one
-        adds coordinates.
-    """
-    if first.definition.clock or second.definition.clock:
-        return _changes_with_time(first) and _changes_with_time(second)
-    sites = [machine.coordinate_of_site(e.site, e.definition.site) or e.site for e in (first, second)]
-    structural = first.definition.structure or second.definition.structure
-    return not structural and sites[0] == sites[1] and bool(_variables(first) & _variables(second))
-
-
-def _changes_with_time(effect: AppliedEffect) -> bool:
-    """Return whether an effect is a function of time or drifts: its state has a time constant beyond fast motion."""
-    definition = effect.definition
-    if definition.clock or definition.against == "time" or ("time", False) in _variables(effect):
-        return True
-    constants = [effect.parameters[p.name] for p in definition.parameters if p.unit == "s"]
-    return definition.next_state is not None and max(constants, default=0.0) > BLOCK_S
-
-
-def curves_of_one_variable(effects: Sequence[AppliedEffect], machine: Machine) -> list[AppliedEffect]:
-    """Return the effects that are functions of one and the same variable of the same coordinate, two at least.
-
-    Together they are a curve over this variable, periodic ones among them. Effects with a memory are none, and those of
-    variables that no table has, such as a voltage.
-
-    Args:
-        effects: Effects of the machine among which to look.
-        machine: Machine on which they act.
-
-    Returns:
-        The largest such group, in the given order; empty if no two effects share a variable.
-    """
-    groups: dict[tuple[str, str], list[AppliedEffect]] = {}
-    for effect in effects:
-        variables = {name for name, _ in _variables(effect)}
-        remembers = effect.definition.structure or effect.definition.next_state
-        if len(variables) == 1 and variables <= _TABULATED and not remembers:
-            site = machine.coordinate_of_site(effect.site, effect.definition.site) or effect.site
-            groups.setdefault((site, variables.pop()), []).append(effect)
-    largest = max(groups.values(), key=len, default=[])
-    return largest if len(largest) > 1 else []
-
-
-def _variables(effect: AppliedEffect) -> set[tuple[str, bool]]:
-    """Return the variables on which the formulas of an effect depend, and whether it is periodic in them."""
-    periodic = any(p.role in ("period", "rate") for p in effect.definition.parameters)
-    hooks = [getattr(effect.definition, hook) for hook in HOOKS if getattr(effect.definition, hook)]
-    arguments = {name for hook in hooks for name in argument_names(hook)}
-    return {(_VARIABLES[name], periodic) for name in arguments & set(_VARIABLES)}
-
-
-def long_run_variance(fitted: Fit, label: str, data: Dataset) -> LongRunVariance:
-    """Return by which factor a residual that is correlated in time raises the gain that an effect reaches by chance.
-
-    The gain is the reduction of the cost (sum of squared residuals in units of the noise). The factor is the ratio of
-    the residual's long-run variance to the variance of white noise, in the direction in which the effect changes the
-    predictions. The long-run variance follows from sums of the residual over blocks that count as independent. Blocks
-    of 50 ms, of 0.5 s and complete runs are tried.
-
-    Args:
-        fitted: Fit with the effect, at any observer bandwidth.
-        label: Label (name@site) of the effect, of which at least one parameter is free.
-        data: Runs that were fitted.
-
-    Returns:
-        The largest factor for the three kinds of blocks and all combinations of the effect's parameters, with the
-        number of blocks of 0.5 s. It is infinite if the machine diverges at the fitted or slightly different
-        parameters.
-
-    References:
-        Liang and Zeger (1986), "Longitudinal data analysis using generalized linear models".
-    """
-    model = ResidualModel(fitted.machine, fitted.free, data, fitted.bandwidth, fitted.longest_step)
-    runs = list(map_runs(model.at(fitted.theta).linearize_run, data))
-    of_effect = np.array([parameter.name.startswith(f"{label}.") for parameter in fitted.free])
-    blocks = [block_size(seconds, fitted.machine, data) for seconds in (_NOISE_S, BLOCK_S)]
-    return variance_along(runs, of_effect, prior_precision(fitted.free), *blocks)
-
-
-def variance_along(
-    runs: Sequence[RunLinearization], of_effect: NDArray[np.bool_], precision: Array, short: int, long: int
-) -> LongRunVariance:
-    """Return the long-run variance of a residual along the change that an effect causes, over that of white noise.
-
-    Args:
-        runs: Linearized residual of each run, with respect to k parameters.
-        of_effect: True for the parameters of the effect, shape (k,).
-        precision: Precision of the prior of the parameters, dimensionless, shape (k, k).
-        short: Values of a block that is longer than the correlation of a sensor's noise.
-        long: Values of a block that counts as independent.
-
-    Returns:
-        Factor, dimensionless, with the numbers of parameters and of long blocks, as `long_run_variance` describes.
-    """
-    if not all(np.isfinite(run.jacobian).all() and np.isfinite(run.residual).all() for run in runs):
-        return LongRunVariance(math.inf)
-    others = ~of_effect
-    hessian = sum((run.jacobian @ run.jacobian.T for run in runs), precision)
-    # Change of the effect's parameters with adapted other parameters: one row per parameter of the effect.
-    directions = np.eye(len(of_effect))[of_effect]
-    directions[:, others] = -np.linalg.solve(
-        hessian[np.ix_(others, others)], hessian[np.ix_(others, of_effect)]
-    ).T
-    responses = [directions @ run.jacobian for run in runs]
-    inverse = np.linalg.pinv(sum(response @ response.T for response in responses), hermitian=True)
-    largest = 1.0
-    for size in (short, long, max(run.residual.size for run in runs)):
-        sums = [_block_sums(j * run.residual, size) for j, run in zip(responses, runs, strict=True)]
-        scores = np.concatenate(sums, axis=1)  # (parameters of the effect, blocks)
-        largest = max(largest, float(np.linalg.eigvals(inverse @ scores @ scores.T).real.max()))
-    blocks = sum(-(-run.residual.size // long) for run in runs)
-    return LongRunVariance(largest, len(directions), blocks)
-
-
-def _block_sums(rows: Array, size: int) -> Array:
-    """Return sums over blocks of that many values, shape (k, blocks), of k rows; the last block may be shorter."""
-    return np.asarray(np.add.reduceat(rows, np.arange(0, rows.shape[1], size), axis=1))
 
 
 def doubt_about_candidate(
@@ -287,69 +133,6 @@ def effect_evidence(without: Fit, tested: TestedFit, effect: AppliedEffect) -> E
         parameters=parameter_values(effect.label, with_effect),
         interpolation=(lambda: tested.interpolation_change) if data.updates > 1 else None,
     )
-
-
-def parameter_values(label: str, fitted: Fit) -> tuple[ParameterValue, ...]:
-    """Return the parameters of an effect with the limits at which their values say little.
-
-    Args:
-        label: Label (name@site) of the effect.
-        fitted: Fit of the machine with it.
-    """
-    effect = next(e for e in fitted.machine.effects if e.label == label)
-    free = {f.name: f for f in fitted.free}
-    values = []
-    for p in effect.definition.parameters:
-        limited = free.get(f"{label}.{p.name}") if covered_by_runs(p) else None
-        covered = (limited.lower, limited.upper) if limited is not None else None
-        limits = tuple({p.lower, p.upper} - {0.0, *p.grid})
-        unit = fitted.machine.effect_unit(effect, p.name)
-        values.append(
-            ParameterValue(p.name, unit, effect.parameters[p.name], limits, covered, p.role == "rate")
-        )
-    return tuple(values)
-
-
-def sizes(effect: AppliedEffect, machine: Machine) -> tuple[Size, ...]:
-    """Return the parameters without which an effect of a fitted machine is absent, with their standard deviations.
-
-    Args:
-        effect: The effect with its fitted parameters.
-        machine: Machine with the covariance of its parameters.
-
-    Returns:
-        The sizes that were fitted; none without a covariance.
-    """
-    uncertainty = machine.uncertainty
-    if uncertainty is None:
-        return ()
-    index = {name: i for i, name in enumerate(uncertainty.names)}
-    scaled: list[str] = []
-    if effect.definition.viscous:
-        # The motion shows the product with the coefficient, which the back-EMF makes uncertain.
-        scaled.append(f"{machine.coordinate_of_site(effect.site, effect.definition.site)}.viscous")
-    found = []
-    for p in effect.definition.parameters:
-        if not p.amplitude or f"{effect.label}.{p.name}" not in index:
-            continue
-        others = (f"{effect.label}.{other.name}" for other in effect.definition.parameters if other is not p)
-        names = [f"{effect.label}.{p.name}", *others, *scaled]
-        rows = [index[name] for name in names if name in index]
-        std = _std_beside_fixed_values(uncertainty.covariance[np.ix_(rows, rows)])
-        found.append(Size(p.name, machine.effect_unit(effect, p.name), effect.parameters[p.name], std))
-    return tuple(found)
-
-
-def _std_beside_fixed_values(covariance: Array) -> float:
-    """Return the standard deviation that the first parameter has if the others are held, 0 if it has none."""
-    scale = np.sqrt(np.diag(covariance))
-    if not scale[0] > 0.0:
-        return 0.0
-    free = scale > 0.0
-    correlation = covariance[np.ix_(free, free)] / np.outer(scale[free], scale[free])
-    to_first = correlation[1:, 0]
-    explained = float(to_first @ np.linalg.lstsq(correlation[1:, 1:], to_first, rcond=None)[0])
-    return float(scale[0] * math.sqrt(max(1.0 - explained, 0.0)))  # below 0 by rounding only
 
 
 def _chance(without: Fit, with_effect: Fit, effect: AppliedEffect, data: Dataset) -> Chance:

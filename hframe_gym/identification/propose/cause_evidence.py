@@ -204,15 +204,16 @@ class Evidence:
         return designs
 
     def explained(self, cause: Cause) -> tuple[float, float, float]:
-        """Compare a cause with the values.
+        """Return how much of the forces or disagreements a cause explains, in units of their noise.
 
         Args:
-            cause: The cause.
+            cause: Signals, of which the linear combination that explains most is fitted.
 
         Returns:
-            Reduction of the sum of squares in pieces to which the cause was not fitted.
-            The same minus its standard error, from the differences between the pieces.
-            Fraction of the values beyond noise that it explains: fitted to all pieces, minus what it explains of noise.
+            reduction: Reduction of the sum of squares in pieces of the runs to which the cause was not fitted.
+            certain: The reduction minus its standard error, from the differences between the pieces.
+            fraction: What the cause explains, fitted to all pieces, over what noise does not; without what it explains
+                of the noise.
         """
         designs = self._designs(cause)
         squares, products = [], []

@@ -16,6 +16,7 @@ import math
 from ...machine import Machine
 from ...preparation.dataset import Dataset
 from ..budget import expect_tests, note_error, seconds_spent, spend
+from ..evidence.long_run_variance import long_run_variance
 from ..evidence.rivals import (
     close_rivals,
     compare_rivals,
@@ -24,7 +25,7 @@ from ..evidence.rivals import (
     selected_first,
     simplest_first,
 )
-from ..evidence.significance import TestedFit, doubt_about_candidate, doubt_beside_others, long_run_variance
+from ..evidence.significance import TestedFit, doubt_about_candidate, doubt_beside_others
 from ..evidence.tried_effects import ConsideredEffect, Log, SelectedEffect, Selection, Step
 from ..fit.estimation import Fit, describe_gain
 from ..fit.model_error import (

@@ -10,7 +10,8 @@ from ...effects.smooth_table import TABLE_FAMILY
 from ...machine import HOOKS, Effect, Machine, argument_names
 from ...preparation.dataset import Dataset
 from ..budget import Budget, BudgetEndedError, spend, stage_ends
-from ..evidence.significance import curves_of_one_variable, parameter_values
+from ..evidence.effect_parameters import parameter_values
+from ..evidence.effect_variables import curves_of_one_variable
 from ..evidence.tried_effects import ConsideredEffect, Log, SelectedEffect, Selection
 from ..fit.estimation import Fit, fit, prediction_cost
 from ..fit.lost_voltages import estimate_lost_voltages

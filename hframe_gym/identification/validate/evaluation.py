@@ -18,7 +18,7 @@ from ...preparation.excerpt import representative_part
 from ...preparation.saturation import Range, range_effects
 from ...preparation.session import Session, with_all_measurements
 from ...preparation.session_zeros import may_correct_zeros
-from ..evidence.significance import sizes
+from ..evidence.effect_parameters import sizes
 from ..evidence.tried_effects import Log, SelectedEffect
 from ..fit.channel_errors import errors_by_channel
 from ..fit.covariance import with_uncertainty

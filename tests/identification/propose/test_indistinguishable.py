@@ -8,7 +8,7 @@ import pytest
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset, SelectionCriteria, fit, prepare
-from hframe_gym.identification.evidence.significance import parameter_values
+from hframe_gym.identification.evidence.effect_parameters import parameter_values
 from hframe_gym.identification.fit.typical_scales import typical_scales
 from hframe_gym.identification.judge.chance import LongRunVariance
 from hframe_gym.identification.judge.effect import parameter_at_limit

@@ -1,0 +1,76 @@
+"""Parameters of a fitted effect: their values with the limits of these, and its sizes with standard deviations."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ...arrays import Array
+from ...machine import AppliedEffect, Machine
+from ..fit.estimation import Fit
+from ..judge.effect import ParameterValue, Size
+from ..propose.candidates import covered_by_runs
+
+
+def parameter_values(label: str, fitted: Fit) -> tuple[ParameterValue, ...]:
+    """Return the parameters of an effect with the limits at which their values say little.
+
+    Args:
+        label: Label (name@site) of the effect.
+        fitted: Fit of the machine with it.
+    """
+    effect = next(e for e in fitted.machine.effects if e.label == label)
+    free = {f.name: f for f in fitted.free}
+    values = []
+    for p in effect.definition.parameters:
+        limited = free.get(f"{label}.{p.name}") if covered_by_runs(p) else None
+        covered = (limited.lower, limited.upper) if limited is not None else None
+        limits = tuple({p.lower, p.upper} - {0.0, *p.grid})
+        unit = fitted.machine.effect_unit(effect, p.name)
+        values.append(
+            ParameterValue(p.name, unit, effect.parameters[p.name], limits, covered, p.role == "rate")
+        )
+    return tuple(values)
+
+
+def sizes(effect: AppliedEffect, machine: Machine) -> tuple[Size, ...]:
+    """Return the parameters without which an effect of a fitted machine is absent, with their standard deviations.
+
+    Args:
+        effect: The effect with its fitted parameters.
+        machine: Machine with the covariance of its parameters.
+
+    Returns:
+        The sizes that were fitted; none without a covariance.
+    """
+    uncertainty = machine.uncertainty
+    if uncertainty is None:
+        return ()
+    index = {name: i for i, name in enumerate(uncertainty.names)}
+    scaled: list[str] = []
+    if effect.definition.viscous:
+        # The motion shows the product with the coefficient, which the back-EMF makes uncertain.
+        scaled.append(f"{machine.coordinate_of_site(effect.site, effect.definition.site)}.viscous")
+    found = []
+    for p in effect.definition.parameters:
+        if not p.amplitude or f"{effect.label}.{p.name}" not in index:
+            continue
+        others = (f"{effect.label}.{other.name}" for other in effect.definition.parameters if other is not p)
+        names = [f"{effect.label}.{p.name}", *others, *scaled]
+        rows = [index[name] for name in names if name in index]
+        std = _std_beside_fixed_values(uncertainty.covariance[np.ix_(rows, rows)])
+        found.append(Size(p.name, machine.effect_unit(effect, p.name), effect.parameters[p.name], std))
+    return tuple(found)
+
+
+def _std_beside_fixed_values(covariance: Array) -> float:
+    """Return the standard deviation that the first parameter has if the others are held, 0 if it has none."""
+    scale = np.sqrt(np.diag(covariance))
+    if not scale[0] > 0.0:
+        return 0.0
+    free = scale > 0.0
+    correlation = covariance[np.ix_(free, free)] / np.outer(scale[free], scale[free])
+    to_first = correlation[1:, 0]
+    explained = float(to_first @ np.linalg.lstsq(correlation[1:, 1:], to_first, rcond=None)[0])
+    return float(scale[0] * math.sqrt(max(1.0 - explained, 0.0)))  # below 0 by rounding only
