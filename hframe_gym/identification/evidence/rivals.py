@@ -185,11 +185,7 @@ def compare_rivals(
         in_combination: Further rivals, from `rivals_in_combination`, whose size is not known yet.
 
     Returns:
-        better: Fit of the machine with the most likely rival in place of the effect: machine, k fitted parameters
-            (theta, dimensionless, shape (k,)) and cost (sum of squared residuals / noise variances); None if no rival
-            is more likely.
-        remaining: The rivals that are not excluded, with parameters fitted beside all other effects, and those that
-            were not tried.
+        The most likely rival and those that remain, with parameters fitted beside all other effects.
     """
     rivals = (*rivals, *in_combination)
     present = {effect.label: effect for effect in current.machine.effects}

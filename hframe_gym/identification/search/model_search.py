@@ -161,14 +161,13 @@ class ModelSearch:
         return self._partial(complete)
 
     def finished_early(self, tests: Budget, last_fit: Budget) -> SearchOutcome:
-        """Return the outcome of what was selected when the budget ended, after the same tests beside each other.
+        """Return the outcome of an ended budget: of the effects selected by then, those that pass the final tests.
 
-        The tests include the fits in simulation by which effects that leave an error are judged. The last fits of what
-        they confirm are no tests: where their time ends, the best parameters so far are delivered.
+        None is kept if the time for the tests ends before them.
 
         Args:
-            tests: What is left of the budget for these tests.
-            last_fit: What is left of it for the last fits.
+            tests: Part of the budget for these tests, with fits in simulation of effects that leave an error.
+            last_fit: Part for the last fits of what passes. If it ends, the best parameters so far are delivered.
         """
         found, decision = self._tested_early(tests)
         with last_fit.limiting(delivers=True):
