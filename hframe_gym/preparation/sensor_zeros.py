@@ -63,6 +63,7 @@ def zeros_from_means(
     Returns:
         Errors of the zeros, in the sensors' units, shape (batch, sensors).
     """
+    resting_rows = min(resting_rows, rows)  # the beginning of a run may end before its rest
     at_rest, of_run = mean(settled_rows(resting_rows)), mean(slice(0, rows))
     if resting_rows == 1:
         at_rest = np.where(quanta > 0.0, at_rest, mean(slice(0, min(_FIRST_ROWS, rows))))

@@ -104,6 +104,13 @@ def test_prediction_error_is_relative_to_the_rows_at_rest(data: Dataset) -> None
     )
 
 
+def test_the_beginning_of_a_run_may_end_before_its_rest(data: Dataset) -> None:
+    initial = dataclasses.replace(data.runs[0].initial, resting_rows=200)
+    run = dataclasses.replace(data.runs[0], initial=initial).first_rows(60)
+    error = prediction_error(run, data, run.outputs[None] - 3e-3)
+    np.testing.assert_allclose(error, 0.0, atol=1e-12)
+
+
 def test_values_that_were_not_measured_leave_no_residual(axis: Machine, data: Dataset) -> None:
     outputs, weights = data.runs[0].outputs.copy(), data.runs[0].weights.copy()
     outputs[300:310], weights[300:310] = np.nan, 0.0
