@@ -6,7 +6,6 @@ The card records how the agent was trained and how well it performs; README.md i
 from __future__ import annotations
 
 import json
-import platform
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,7 +20,6 @@ from ..evaluation import (
     PATH_ERRORS,
     Episodes,
     Scenario,
-    installed_versions,
     rollout,
     settling_in,
     settling_or_none,
@@ -31,7 +29,6 @@ from ..evaluation import (
 from ..files import write_text
 from ..machine import AXIS_UNITS
 
-PACKAGES = ("hframe_gym", "stable-baselines3", "torch", "numpy", "numba", "gymnasium")
 EVALUATION_EPISODES = 256  # of every row of a learning curve
 # Cost of one millimeter of final error in seconds of settling time. Agents that settle in no band differ only in their
 # final error; for agents that settle, 0.01 mm costs as little as 0.1 ms, far below the noise of the episodes.
@@ -136,17 +133,6 @@ def progress_line(row: Mapping[str, Any]) -> str:
     mean_s = settling_or_none(row[f"success_{bound}"], row[f"settling_s_{bound}"])
     settling = f"none settles to {bound}" if mean_s is None else f"settles to {bound} in {mean_s:.3f} s"
     return f"{prefix}  {fractions}; {settling}"
-
-
-def versions(further: Sequence[str] = ()) -> dict[str, str]:
-    """List the installed versions of Python and of the packages on which the result of a training run depends, by name.
-
-    Packages that are not installed, such as this one in a source tree, are omitted.
-
-    Args:
-        further: Names of packages to list in addition to those that every run uses, such as torch and NumPy.
-    """
-    return {"python": platform.python_version(), **installed_versions((*PACKAGES, *further))}
 
 
 def write_card(folder: str | Path, card: Mapping[str, Any]) -> None:

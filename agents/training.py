@@ -20,7 +20,7 @@ from typing import Any
 from ..controllers import period_concern
 from ..envs import EnvConfig, Task
 from ..errors import InputError
-from ..evaluation import Scenario
+from ..evaluation import Scenario, result_versions
 from ..files import atomic_file, complete_commit, locked_folder, newest, output_batch
 from ..machine import Machine
 from ..recordings import load_machine
@@ -35,7 +35,7 @@ from .agent_files import (
 )
 from .controller_source import start_agent_folder
 from .features import feature_parameters
-from .model_card import EVALUATION_EPISODES, improves, progress_line, score_agent, versions, write_card
+from .model_card import EVALUATION_EPISODES, improves, progress_line, score_agent, write_card
 from .optional_dependencies import (
     CONTRIB_ALGORITHMS,
     import_optional,
@@ -349,6 +349,7 @@ def _build_environment(recipe: Recipe, machine: Machine, task: Task) -> Any:
 
 def _new_card(recipe: Recipe, machine: Machine, task: str, seed: int) -> dict[str, Any]:
     """Return the card of a run that begins."""
+    libraries = ("gymnasium", *(["sb3-contrib"] if recipe.kind in CONTRIB_ALGORITHMS else []))
     return {
         "schema": SCHEMA,
         "name": recipe.name.removesuffix(f"_{recipe_task(task)}"),
@@ -360,6 +361,6 @@ def _new_card(recipe: Recipe, machine: Machine, task: str, seed: int) -> dict[st
         "settings": recipe.as_dict(),
         "period": recipe.period,
         "features": feature_parameters(machine, recipe.period, **recipe.features),
-        "versions": versions(("sb3-contrib",) if recipe.kind in CONTRIB_ALGORITHMS else ()),
+        "versions": result_versions(libraries),
         "curve": [],
     }

@@ -9,21 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from hframe_gym.dynamics.simulation import threads
-from hframe_gym.evaluation import installed_versions
+from hframe_gym.evaluation import result_versions
 from hframe_gym.files import write_text
 from tools.repository import RESULTS, ROOT
 
-_PACKAGES = (
-    "numpy",
-    "numba",
-    "scipy",
-    "gymnasium",
-    "mujoco",
-    "envpool",
-    "stable-baselines3",
-    "torch",
-    "casadi",
-)
+# Beside those on which all results depend.
+_FURTHER_PACKAGES = ("gymnasium", "mujoco", "envpool", "casadi")
 
 
 def data_root() -> Path:
@@ -34,11 +25,8 @@ def data_root() -> Path:
 def surroundings() -> dict[str, Any]:
     """Return the processor, the number of cores and the versions on which results depend."""
     machine = {"processor": platform.machine(), "cores": threads()}
-    return {
-        "python": platform.python_version(),
-        "versions": installed_versions(_PACKAGES),
-        "machine": machine,
-    }
+    versions = result_versions(_FURTHER_PACKAGES)
+    return {"python": versions.pop("python"), "versions": versions, "machine": machine}
 
 
 def save_figure(figure: Any, path: Path) -> None:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import platform
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,14 +20,13 @@ from benchmarks.gap.control_loop import DURATION_S
 from benchmarks.gap.entries import GapEntry, sha256_of
 from benchmarks.gap.protocol import DIGEST, EPISODES, NAME, PARTS
 from hframe_gym.errors import InputError
-from hframe_gym.evaluation import installed_versions
+from hframe_gym.evaluation import result_versions
 from hframe_gym.files import write_text
 from tests.reference_simulator import Array
 
 SCHEMA = 1
 SETTLED = "settling_s.0.2mm"
 RESAMPLES, BOOTSTRAP_SEED = 4000, 0
-_PACKAGES = ("hframe_gym", "numpy", "scipy", "numba", "torch", "stable-baselines3")
 # A move is impossible if it takes less than this part of its bound, minus a sample of 1 ms. The bound leaves out
 # effects that the optimization does not support; one that drives, such as a magnet, can make a move a little faster.
 _POSSIBLE, _SAMPLE_S = 0.9, 1.1e-3
@@ -55,7 +53,7 @@ def new_content(name: str, entry: type[GapEntry], seed: int) -> dict[str, Any]:
             "learned": entry.learned,
             "sha256": sha256_of(entry),
         },
-        "versions": {"python": platform.python_version(), **installed_versions(_PACKAGES)},
+        "versions": result_versions(),
         "plants": [],
     }
 

@@ -83,6 +83,7 @@ def train(
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
     from ..agents import train as run_training
+    from ..controllers import suited_controllers
     from ..recordings import load_machine
 
     declared, seeds = load_machine(machine), seed or [0]
@@ -117,7 +118,7 @@ def train(
             progress=progress,
         )
     options = option_words(machine=machine, task=task, randomize=randomize, out=str(out / "scores"))
-    controller = "set-point" if declared.drive_laws else "pid"
+    controller = suited_controllers(declared)[0]
     log(f"wrote {out}. Next: hframe evaluate {quoted(str(out))} {controller}{options} --html")
 
 

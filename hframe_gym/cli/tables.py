@@ -23,6 +23,7 @@ from ..machine import (
     Row,
     motion_limits,
     rigid_motions,
+    written_unit,
 )
 from ..registry import load_plugins
 from ..web_page import number
@@ -92,8 +93,7 @@ def effect_lines(report: Report) -> list[str]:
 def _parameter_text(name: str, parameter: ParameterValue) -> str:
     """Return a parameter of report.json with its standard deviation and unit."""
     spread = "" if parameter.std is None else f" +- {parameter.std:.2g}"
-    unit = "" if parameter.unit == "1" else f" {parameter.unit}"
-    return f"{name} = {parameter.value:.5g}{spread}{unit}"
+    return f"{name} = {parameter.value:.5g}{spread} {written_unit(parameter.unit)}".rstrip()
 
 
 def _error_cell(channel: str, error: ChannelErrors) -> str:
@@ -299,17 +299,11 @@ def _titled(title: str, *columns: str) -> Table:
     return table
 
 
-def _unit(machine: Machine, parameter: str) -> str:
-    """Return the unit of a parameter, empty if it has none."""
-    unit = machine.unit(parameter)
-    return "" if unit == "1" else unit
-
-
 def _cell(machine: Machine, parameter: str, value: float) -> str:
     """Format a value with its unit, and with its standard deviation if it was identified."""
     std = machine.uncertainty.std(parameter) if machine.uncertainty else None
     spread = "" if std is None else f" +- {std:.2g}"
-    return f"{value:.4g}{spread} {_unit(machine, parameter)}".rstrip()
+    return f"{value:.4g}{spread} {written_unit(machine.unit(parameter))}".rstrip()
 
 
 def _sum(row: Row) -> str:

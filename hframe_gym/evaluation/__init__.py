@@ -14,6 +14,7 @@ from .metrics import (
     stored_bounds,
 )
 from .minari_export import ExportedDataset, RandomActions, dataset_controller, export_dataset
+from .package_versions import installed_versions, result_versions
 from .plots import plot_episode, save_plot
 from .protocol_results import (
     Comparison,
@@ -21,7 +22,6 @@ from .protocol_results import (
     checksum,
     compare_draws,
     fill_unsettled,
-    installed_versions,
     paired_ratio,
     protocol_bounds,
     read_result,
@@ -102,6 +102,7 @@ __all__ = [
     "ratio_to_bounds",
     "read_result",
     "result_content",
+    "result_versions",
     "rollout",
     "run_protocol",
     "save_plot",

@@ -13,10 +13,9 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import platform
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from functools import cache
-from importlib import metadata, resources
+from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -26,14 +25,13 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from ..arrays import Array
 from ..errors import InputError
 from ..files import write_text
-from ..version import __version__
 from .metrics import BANDS, BOUND_BAND, ratio_of_means, stored_bounds
+from .package_versions import result_versions
 from .protocols import Draws, Entry, Protocol, get_protocol
 from .runner import SAMPLES_PER_PERIOD
 
 SCHEMA = 2
 BOOTSTRAP_SEED = 0
-PACKAGES = ("hframe_gym", "numpy", "scipy", "numba", "torch", "stable-baselines3")
 BOUNDS_FOLDER = "bound_times_data"
 DIGITS = 9  # decimals of scores, s and mm
 ROUNDING = 1e-6  # s and mm, of the values of draws, which have 6 decimals
@@ -110,7 +108,7 @@ def result_content(protocol: Protocol, entry: Entry, draws: Mapping[str, Draws])
         "digest": protocol.digest,
         "entry": entry._asdict(),
         "about": "",
-        "versions": {"python": platform.python_version(), **installed_versions(PACKAGES)},
+        "versions": result_versions(),
         "scores": {part: part_scores(values, protocol.duration_s) for part, values in draws.items()},
         "draws": {part: dict(values) for part, values in draws.items()},
     }
@@ -125,20 +123,6 @@ def checksum(content: Mapping[str, Any]) -> str:
     """
     covered = {key: content[key] for key in ("protocol", "digest", "entry", "versions", "draws")}
     return hashlib.sha256(json.dumps(covered, sort_keys=True).encode()).hexdigest()
-
-
-def installed_versions(packages: Iterable[str]) -> dict[str, str]:
-    """List the versions of packages on which results depend, by name; those that are not installed are omitted.
-
-    Of this package it is that of the code that runs: an editable installation keeps the number of the day it was made.
-    """
-    versions = {}
-    for package in packages:
-        try:
-            versions[package] = __version__ if package == "hframe_gym" else metadata.version(package)
-        except metadata.PackageNotFoundError:
-            continue
-    return versions
 
 
 def part_scores(values: Draws, duration_s: float) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from .declaration import (
     Variant,
     descriptions,
     summary,
+    written_unit,
 )
 from .diagram import draw_machine
 from .drive_kinds import DRIVE_KINDS, DriveKind, DriveLaw
@@ -120,4 +121,5 @@ __all__ = [
     "standard_deviations",
     "summary",
     "with_constant_stiffness",
+    "written_unit",
 ]

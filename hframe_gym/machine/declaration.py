@@ -51,6 +51,11 @@ UNITS: dict[CoordinateKind, dict[str, str]] = {
 FIXED_UNITS = {"voltage": "V", "current": "A", "torque": "Nm", "tension": "N"}
 
 
+def written_unit(unit: str) -> str:
+    """Return a unit as it is written behind a number: "" for "1", the unit of dimensionless quantities."""
+    return "" if unit == "1" else unit
+
+
 @dataclass(frozen=True)
 class Number:
     """Declaration of a number with a unit; for an attribute that is a pair, of its lowest and highest value.

@@ -26,9 +26,9 @@ from hframe_gym.evaluation import (
     fill_unsettled,
     get_protocol,
     installed_versions,
+    package_versions,
     paired_ratio,
     protocol_bounds,
-    protocol_results,
     protocols,
     read_result,
     result_content,
@@ -49,7 +49,7 @@ HFRAME = BUILTIN_MACHINES["hframe"]()
 
 def test_results_state_the_version_of_the_code_that_ran(monkeypatch: pytest.MonkeyPatch) -> None:
     """Not that of the installation, which an editable one keeps; packages that are not installed are omitted."""
-    monkeypatch.setattr(protocol_results, "__version__", "99.0")
+    monkeypatch.setattr(package_versions, "__version__", "99.0")
     versions = installed_versions(("hframe_gym", "numpy", "no_such_package"))
     assert versions == {"hframe_gym": "99.0", "numpy": np.__version__}
 

@@ -12,7 +12,7 @@ from ...arrays import Array
 from ...effects.smooth_table import TABLE_FAMILY
 from ...errors import InputError
 from ...files import output_batch
-from ...machine import Machine
+from ...machine import Machine, written_unit
 from ...web_page import number, write_page
 from ..fit.inseparable_parameters import sum_text
 from ..fit.parameter_diagnostics import parameter_doubts
@@ -199,7 +199,7 @@ def _effect_rows(report: Report, machine: Machine) -> list[dict[str, Any]]:
                 "name": key,
                 "value": f"{p.value:.5g}",
                 "std": "" if p.std is None else f"± {p.std:.2g}",
-                "unit": "" if p.unit == "1" else p.unit,
+                "unit": written_unit(p.unit),
             }
             for key, p in e.parameters.items()
         ]

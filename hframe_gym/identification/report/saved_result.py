@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from ...arrays import Array
-from ...controllers import shorter_period
+from ...controllers import shorter_period, suited_controllers
 from ...effects import EFFECTS
 from ...envs import EnvConfig
 from ...envs.workspace import workspace_of
@@ -252,5 +252,5 @@ def next_command(verdict: str, machine: Machine, folder: Path) -> str:
     randomize = " --randomize identified" if machine.uncertainty else ""
     shorter = shorter_period(machine, EnvConfig.period)
     period = "" if shorter is None else f" --period {shorter:g}"
-    controller = "set-point" if machine.drive_laws else "pid"
+    controller = suited_controllers(machine)[0]
     return f"hframe evaluate {controller} --machine {machine_file}{randomize}{period} --html --out {out}"
