@@ -7,12 +7,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..identification import Dataset, prepare
+from ..identification import Dataset
 from ..machine import Machine
+from ..preparation.criteria import SaturationCriteria
 from ..preparation.dataset import runs_that_should_move, turns_steadily
 from ..preparation.division import copied_runs
 from ..preparation.initial_rest import InitialRest, without_moving_start
 from ..preparation.sensor_noise import noise_at_rest
+from ..preparation.session import prepare_within_ranges
 from ..preparation.usable import usable_run
 from ..recordings import (
     Recording,
@@ -112,7 +114,7 @@ def _prepared(
     """Return the runs without outliers, their rests, the same runs prepared for a fit, and the names of moving runs."""
     runs = [usable_run(recording, machine) for recording in recordings]
     cleaned, rests = [run.measured for run in runs], [run.rest for run in runs]
-    data = prepare([run.usable for run in runs], machine)
+    data, _ = prepare_within_ranges([run.usable for run in runs], machine, SaturationCriteria())
     moving = [
         recording.name
         for recording in cleaned
@@ -167,7 +169,8 @@ def _position_checks(recordings: Sequence[Recording], data: Dataset, machine: Ma
             sensors=tuple(sensors), effects=tuple(e for e in machine.effects if e.site not in others)
         )
         recordings = [dataclasses.replace(r, outputs=r.outputs[:, of_position]) for r in recordings]
-        positions = prepare([without_moving_start(recording, machine) for recording in recordings], machine)
+        usable = [without_moving_start(recording, machine) for recording in recordings]
+        positions, _ = prepare_within_ranges(usable, machine, SaturationCriteria())
     return (
         stuck_outputs(recordings, machine)
         + check_wiring(positions, machine)

@@ -194,9 +194,16 @@ def _measured_motions(data: Dataset, machine: Machine) -> dict[str, _MeasuredMot
         measured = np.isfinite(run.outputs).any(axis=0) & M.any(axis=1)  # sensors of positions
         if np.linalg.matrix_rank(M[measured]) < len(names) or len(run.time_s) < 3:
             continue
-        size = np.linalg.norm(M[measured], axis=1)
         span = comparison_window(run.outputs[:, measured], run.time_s, _WINDOW)
-        outputs = bridge_blanks(run.outputs[:, measured], run.time_s, span)
+        bridged = bridge_blanks(run.outputs, run.time_s, span)
+        # A row counts only if all sensors measure in it. Those that pause, as lasers at the end of their range do, are
+        # not needed where the others determine the motion.
+        rows = np.isfinite(bridged).sum(axis=0)
+        steady = measured & (rows == rows[measured].max())
+        if np.linalg.matrix_rank(M[steady]) == len(names):
+            measured = steady
+        size = np.linalg.norm(M[measured], axis=1)
+        outputs = bridged[:, measured]
         weights = np.linalg.pinv(M[measured] / size[:, None]) / size  # (motions, sensors)
         travel = outputs @ weights.T  # (n, motions)
         noise = np.fmax(noise, np.abs(weights) @ np.fmax(data.noise, data.quantum)[measured])

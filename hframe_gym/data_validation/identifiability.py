@@ -22,6 +22,8 @@ from .findings import Finding, Severity
 
 _MAX_ROWS = 20_000  # rows of a run that are simulated, to limit the time; more would lower the bounds
 _LARGE_STD = 0.1  # relative standard deviation above which a parameter is reported as poorly identifiable
+# Relative standard deviation above which not even the sign of a parameter follows from the recordings.
+_UNDETERMINED_STD = 1.0
 _INSEPARABLE = 0.98  # correlation above which two parameters are reported as inseparable
 _NO_INFLUENCE = 1e-12  # sensitivity relative to the largest one below which a parameter has no influence
 # Eigenvalue of the normalized information matrix below which a combination is not determined.
@@ -97,7 +99,8 @@ def check_parameters(data: Dataset, machine: Machine) -> list[Finding]:
 
     Returns:
         One finding (severity, channel, message) per parameter or sum: advice if its relative standard deviation exceeds
-        10 %, otherwise a note; and one of advice for all parameters that have no influence on the measurements.
+        10 %, otherwise a note; and one of advice each for all parameters without influence on the measurements and for
+        all that the recordings do not determine.
     """
     names, information = _relative_information(
         data, machine, [f.name for f in default_free_parameters(machine)]
@@ -123,8 +126,19 @@ def check_parameters(data: Dataset, machine: Machine) -> list[Finding]:
         verb = "has" if len(without_influence) == 1 else "have"
         message = f"{verb} no influence on these runs"
         findings.append(Finding("advice", "", ", ".join(without_influence), message))
+    undetermined = [
+        b.name
+        for b in bounds
+        if b.name in reported_alone and b.name not in without_influence and b.relative_std > _UNDETERMINED_STD
+    ]
+    if undetermined:
+        message = (
+            f"not determined by these runs (standard error above {100 * _UNDETERMINED_STD:.0f} %), alone or because "
+            "some of them act alike: fitted values mean nothing; motion that is faster or reaches limits tells more"
+        )
+        findings.append(Finding("advice", "", ", ".join(undetermined), message))
     for bound in bounds:
-        if bound.name not in reported_alone or bound.name in without_influence:
+        if bound.name not in reported_alone or bound.name in (*without_influence, *undetermined):
             continue
         message, severity = f"standard error at least {100 * bound.relative_std:.2g} %", "note"
         if bound.relative_std > _LARGE_STD:

@@ -98,16 +98,27 @@ def _prepared(
 ) -> Session:
     """Prepare all runs of a session with the directions of the drives of this machine."""
     usable = [usable_run(recording, machine, log).usable for recording in recordings]
-    data = prepare(usable, machine)
-    inside, ranges = without_saturated(usable, machine, data.noise, criteria)
+    data, ranges = prepare_within_ranges(usable, machine, criteria)
     if ranges:
         log(f"saturated at the end of the range: {', '.join(ranges)}")
-        data = prepare(inside, machine)
     if data.jitter:
         log(f"the clock {data.describe_jitter()}")
     for warning in merge_run_warnings((run.name, w) for run in data.runs for w in run.initial.warnings):
         log(f"warning: {warning}")
     return Session(machine, recordings, usable, data, ranges)
+
+
+def prepare_within_ranges(
+    usable: Sequence[Recording], machine: Machine, criteria: SaturationCriteria
+) -> tuple[Dataset, dict[str, Range]]:
+    """Prepare recordings like `prepare`, without the measurements at the ends of the sensors' ranges.
+
+    Returns:
+        Data set, and the ranges of the sensors that saturate, as `without_saturated` finds them.
+    """
+    data = prepare(usable, machine)
+    inside, ranges = without_saturated(usable, machine, data.noise, criteria)
+    return (prepare(inside, machine) if ranges else data), ranges
 
 
 def prepare(recordings: Sequence[Recording], machine: Machine) -> Dataset:

@@ -90,3 +90,16 @@ def test_motion_in_one_direction_is_advice(hframe: Machine) -> None:
     )
     assert any(f.channel == "y" and "one direction only" in f.message for f in findings)
     assert any(f.channel == "y" and "moves forward 100 %" in f.message for f in findings)
+
+
+def test_encoders_tell_the_travel_where_a_laser_does_not_measure(
+    runs: list[Recording], hframe: Machine
+) -> None:
+    """Where a laser has no value, as beyond its range, the motion goes on."""
+    blind = with_change(runs, lambda u, y: (u, np.where(np.abs(y) > [99, 99, 0.02, 0.02], np.nan, y)))
+
+    def travel(recordings: list[Recording]) -> list[float]:
+        texts = [f.message for f in check_recordings(recordings, hframe) if "travels from" in f.message]
+        return [float(end) for text in texts for end in re.findall(r"-?\d\.\d+(?:e-\d+)?", text)]
+
+    np.testing.assert_allclose(travel(blind), travel(runs), atol=2e-3)

@@ -128,3 +128,17 @@ def test_parameters_without_influence_share_one_finding(
     data = prepare([Recording("r", np.arange(50) * 1e-3, np.zeros((50, 1)), np.zeros((50, 1)))], cart)
     (finding,) = check_parameters(data, cart)
     assert str(finding) == "advice: x.mass, x.viscous: have no influence on these runs"
+
+
+def test_parameters_that_are_not_determined_share_one_finding(
+    cart: Machine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Set points that a stiff drive follows leave standard errors of 1e5 % and more."""
+    names = ["x.mass", "x.viscous", "motor.Kt"]
+    bounds = [CramerRaoBound(name, std, "", 0.0) for name, std in zip(names, (1e3, 20.0, 0.5), strict=True)]
+    monkeypatch.setattr(identifiability, "_relative_information", lambda *_: (names, np.eye(3)))
+    monkeypatch.setattr(identifiability, "_joint_bounds", lambda *_: bounds)
+    data = prepare([Recording("r", np.arange(50) * 1e-3, np.zeros((50, 1)), np.zeros((50, 1)))], cart)
+    undetermined, poor = check_parameters(data, cart)
+    assert str(undetermined).startswith("advice: x.mass, x.viscous: not determined by these runs")
+    assert (poor.channel, poor.message) == ("motor.Kt", "standard error at least 50 %")

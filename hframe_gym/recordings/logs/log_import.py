@@ -130,7 +130,8 @@ def import_logs(
         log(f"skipped (by their names or content, no logs): {', '.join(p.name for p in other_files)}")
     # Each byte counts twice: once for reading, once for writing, which take about as long.
     total = 2 * sum(map(log_size, paths))
-    importer = _Importer(machine, settings, log, cumulative(progress, total))
+    several = len(paths) + len(existing) > 1
+    importer = _Importer(machine, settings, log, cumulative(progress, total), several)
     written: list[Path] = []
     with output_batch(folder):
         for path in paths:
@@ -209,9 +210,15 @@ class _Importer:
     """Converts the logs of one session, one after the other, and tells the user what it converts or assumes."""
 
     def __init__(
-        self, machine: Machine, settings: ImportSettings, log: Callable[[str], None], progress: Progress
+        self,
+        machine: Machine,
+        settings: ImportSettings,
+        log: Callable[[str], None],
+        progress: Progress,
+        several: bool,
     ) -> None:
         self._machine, self._settings, self._log, self._progress = machine, settings, log, progress
+        self._several = several  # whether the folder of the recordings will have several runs
         self._converter = LogConverter(machine)
         self._last_mapping: list[str] = []
         self._names: list[str] = []  # of the logs, before they are cut
@@ -250,7 +257,7 @@ class _Importer:
             remarks.append(
                 f"cut into runs of {runs[0].time_s[-1] - runs[0].time_s[0]:.3g} s, which may begin in motion"
             )
-        elif recording.time_s[-1] - recording.time_s[0] >= _LONG_RUN:
+        elif not self._several and recording.time_s[-1] - recording.time_s[0] >= _LONG_RUN:
             remarks.append(
                 f"{_LONG_RUN:g} s or longer: identification needs several runs; --split-at-rests cuts this one, or "
                 "--split-every 10 if it has no rests"

@@ -28,6 +28,7 @@ from .measurement_units import (
 from .possible_maps import obstacle
 
 NOT_MEASURED = "none"  # given instead of a column: the output was not measured
+_EXAMPLE_RATE = "200Hz"  # in messages
 _NO_PROPOSAL = "COLUMN"  # in the proposed options, where no column may be the channel
 # Names of a column of sample times, in lower case, without blanks and punctuation; "xvalue" is that of LabVIEW.
 _TIME_NAMES = ("time", "t", "timestamp", "zeit", "elapsedtime", "seconds", "sec", "xvalue", *TIME_HEADERS)
@@ -412,12 +413,26 @@ class _LogMapping:
                 f"{problem}. Voltages must be recorded; add a column of zeros for a drive that was not used"
             )
         proposals = self._proposed_headers(missing, unused)
+        counters = [column for column in unused if _counts_rows(column)]
+        has_no_time = TIME in missing and (
+            bool(counters) or all(column.meaning.quantity or column.unit for column in unused)
+        )
+        if has_no_time and proposals[TIME] == _NO_PROPOSAL:
+            proposals[TIME] = _EXAMPLE_RATE
         advice = f"Check and add: {' '.join(_map_option(channel, proposals[channel]) for channel in missing)}"
         outputs = [channel for channel in missing if channel in self.machine.output_channels]
         if outputs:
             advice += f" (or {outputs[0]}={NOT_MEASURED}, if it was not measured)"
-        if TIME in missing:
-            advice += f"; if the log has no time column, state the rate, e.g. {TIME}=200Hz"
+        if TIME in missing and proposals[TIME] == _EXAMPLE_RATE:
+            advice += f"; no column is a time, so state the rate of the rows in place of {_EXAMPLE_RATE}"
+            if counters:
+                counter = _map_option(TIME, counters[0].header)
+                advice += (
+                    f", or, if {counters[0].header} counts at a known rate and rows may be missing, "
+                    f"{counter} --unit {TIME}={_EXAMPLE_RATE}"
+                )
+        elif TIME in missing:
+            advice += f"; if the log has no time column, state the rate, e.g. {TIME}={_EXAMPLE_RATE}"
         without = [channel for channel in missing if channel != TIME and proposals[channel] == _NO_PROPOSAL]
         return advice + self._explained_obstacle(without, unused)
 
@@ -485,7 +500,7 @@ class _LogMapping:
         """Return whether a column can be a channel by its quantity, perhaps after the user has stated its unit."""
         meaning = column.meaning
         if channel == TIME and meaning.quantity == "row number":
-            return not meaning.role
+            return False  # without the rate of its steps, it is no time
         is_output = channel in self.machine.output_channels
         if is_output and meaning.role:
             return False
@@ -505,6 +520,11 @@ class _LogMapping:
         inputs = ", ".join((*self.machine.input_channels, *self.machine.supply_channels))
         outputs = ", ".join(self.machine.output_channels)
         return f"Machine {self.machine.name!r} has {TIME}, inputs {inputs} and outputs {outputs}"
+
+
+def _counts_rows(column: LogColumn) -> bool:
+    """Return whether a column counts rows or ticks, by its name."""
+    return column.meaning.quantity == "row number" and not column.meaning.role
 
 
 def _map_option(channel: str, reference: str) -> str:

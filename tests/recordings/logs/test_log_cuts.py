@@ -55,3 +55,17 @@ def test_a_cut_that_cannot_be_writes_nothing(
     with pytest.raises(InputError, match=message):
         cut(logs, tmp_path / "runs", *texts, **others)
     assert not (tmp_path / "runs").exists() or not any((tmp_path / "runs").iterdir())
+
+
+def test_only_a_single_long_log_needs_to_be_cut(tmp_path: Path) -> None:
+    """Identification needs several runs; several long logs are several runs."""
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    told = []
+    for name in ("a", "b"):
+        rows = [f"{k * 0.1:.1f},{k % 7},{k * 1e-4}" for k in range(700)]
+        (folder / f"{name}.csv").write_text("\n".join(["time_s,v_V,x_m", *rows]))
+        lines: list[str] = []
+        import_logs(folder, tmp_path / f"runs_{name}", AXIS, log=lines.append)
+        told.append("identification needs several runs" in " ".join(lines))
+    assert told == [True, False]

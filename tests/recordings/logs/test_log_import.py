@@ -631,7 +631,7 @@ def test_a_log_without_times_is_imported_at_a_stated_rate(
     values = {channel: column for channel, column in table.items() if channel != "time_s"}
     path = in_text(text_of)(tmp_path, values)
     with pytest.raises(
-        InputError, match=r"--map time_s=COLUMN; if the log has no time column, state the rate, e.g. "
+        InputError, match=r"Check and add: --map time_s=200Hz; no column is a time, so state the rate"
     ):
         convert(path, hframe)
     lines: list[str] = []
@@ -642,6 +642,19 @@ def test_a_log_without_times_is_imported_at_a_stated_rate(
         InputError, match=r"rates.mat: the columns have different numbers of rows .*y_m has 60"
     ):
         convert(tmp_path / "rates.mat", hframe, columns={"time_s": "1000Hz"})
+
+
+def test_a_counter_of_rows_is_proposed_only_with_a_rate(
+    table: Table, hframe: Machine, tmp_path: Path
+) -> None:
+    values = {"M1_sequence_number": np.arange(len(table["time_s"]))}
+    values |= {channel: column for channel, column in table.items() if channel != "time_s"}
+    path = in_text(text_of)(tmp_path, values)
+    advice = r"Check and add: --map time_s=200Hz; .* --map time_s=M1_sequence_number --unit time_s=200Hz"
+    with pytest.raises(InputError, match=advice):
+        convert(path, hframe)
+    run = convert(path, hframe, columns={"time_s": "M1_sequence_number"}, units={"time_s": "1kHz"})
+    assert_equal(run, table)
 
 
 def test_a_speed_is_integrated_to_a_position_only_where_its_unit_is_stated(
