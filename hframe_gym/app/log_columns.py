@@ -27,6 +27,7 @@ from ..recordings import (
     map_columns,
     open_logs,
 )
+from ..web_page import extreme_rows
 
 POINTS = 1600  # of a curve: two for each of 800 pixels
 _FILES_KEPT = 4  # logs whose values stay in memory
@@ -60,8 +61,6 @@ def thinned(
 ) -> list[list[float | None]]:
     """Reduce a long curve to the smallest and the largest value of each of many short intervals.
 
-    Peaks stay visible, however short they are.
-
     Args:
         time: Times, increasing, shape (n,).
         values: Values, shape (n,); NaN in gaps.
@@ -74,21 +73,7 @@ def thinned(
     """
     begin, end = np.searchsorted(time, first), np.searchsorted(time, last, side="right")
     time, values = time[max(begin - 1, 0) : end + 1], values[max(begin - 1, 0) : end + 1]
-    rows = np.arange(len(time))
-    if len(time) > count:
-        edges = np.linspace(0, len(time), count // 2 + 1).astype(int)
-        starts, present = edges[:-1], np.isfinite(values)
-        low = np.minimum.reduceat(np.where(present, values, math.inf), starts)
-        high = np.maximum.reduceat(np.where(present, values, -math.inf), starts)
-        kept: list[int] = []
-        for k, (begin, end) in enumerate(zip(starts.tolist(), edges[1:].tolist(), strict=True)):
-            part = values[begin:end]
-            if not math.isfinite(low[k]):
-                kept.append(begin)
-                continue
-            at = {begin + int(np.argmax(part == low[k])), begin + int(np.argmax(part == high[k]))}
-            kept += sorted(at)
-        rows = np.array(kept)
+    rows = extreme_rows([values], count // 2) if len(time) > count else np.arange(len(time))
     return [
         [t, v if math.isfinite(v) else None]
         for t, v in zip(time[rows].tolist(), values[rows].tolist(), strict=True)

@@ -8,6 +8,7 @@ matplotlib, pages Jinja: the extra `report`.
 from .colors import COLORS, SERIES, color
 from .page import NextStep, number, write_page
 from .panels import Panel, legend_above, panel_svg, plot_style, save_panels
+from .thinning import extreme_rows
 
 __all__ = [
     "COLORS",
@@ -15,6 +16,7 @@ __all__ = [
     "NextStep",
     "Panel",
     "color",
+    "extreme_rows",
     "legend_above",
     "number",
     "panel_svg",

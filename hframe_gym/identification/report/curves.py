@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...arrays import Array
-from ...web_page import number
+from ...web_page import extreme_rows, number
 from .document import Report, compared_machines
 from .units import readable_unit
 
@@ -170,13 +170,9 @@ def _kept_rows(errors: Sequence[Array], max_rows: int) -> NDArray[np.intp]:
     count = len(errors[0])
     if count <= max_rows:
         return np.arange(count)
-    kept = {count - 1}
-    for part in np.array_split(np.arange(count), max(1, max_rows // _KEPT_PER_BUCKET)):
-        kept.add(int(part[0]))
-        for error in errors:
-            values = np.nan_to_num(error[part])
-            kept |= {int(part[np.argmin(values)]), int(part[np.argmax(values)])}
-    return np.array(sorted(kept))
+    buckets = np.array_split(np.arange(count), max(1, max_rows // _KEPT_PER_BUCKET))
+    regular = [*(part[0] for part in buckets), count - 1]
+    return np.union1d(regular, extreme_rows(errors, len(buckets)))
 
 
 def _encoded(values: Array) -> str:

@@ -12,7 +12,7 @@ from ...arrays import Array
 from ...effects.smooth_table import TABLE_FAMILY
 from ...files import remove_file
 from ...machine import AppliedEffect, Machine
-from ...web_page import Panel, color, legend_above, number, save_panels
+from ...web_page import Panel, color, extreme_rows, legend_above, number, save_panels
 from .correlations import error_correlations
 from .document import Report, compared_machines
 from .effect_curves import effect_curve
@@ -189,14 +189,12 @@ def _error_over_time(
 
 
 def _envelope(time_s: Array, values: Array) -> tuple[Array, Array]:
-    """Thin a curve (n,) such that its extreme values remain: the smallest and largest value of each interval."""
+    """Return a long curve (n,) without its gaps, thinned to the smallest and largest value of each interval."""
     measured = np.isfinite(values)
     time_s, values = time_s[measured], values[measured]
     if len(values) <= 2 * _MAX_BUCKETS:
         return time_s, values
-    parts = np.array_split(np.arange(len(values)), _MAX_BUCKETS)
-    kept = [sorted({part[np.argmin(values[part])], part[np.argmax(values[part])]}) for part in parts]
-    rows = np.concatenate(kept)
+    rows = extreme_rows([values], _MAX_BUCKETS)
     return time_s[rows], values[rows]
 
 
