@@ -21,7 +21,7 @@ def extreme_rows(curves: Sequence[Array], intervals: int) -> NDArray[np.intp]:
         intervals: Number of intervals, dimensionless.
 
     Returns:
-        Rows, increasing, at most two for each curve and interval.
+        Rows, increasing, shape (m,): at most two for each curve and interval.
     """
     parts = [part for part in np.array_split(np.arange(len(curves[0])), intervals) if len(part)]
     kept: list[np.intp] = []
