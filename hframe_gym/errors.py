@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 import numbers
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 
 
@@ -44,9 +44,20 @@ def suggestion(name: object, names: Iterable[str]) -> str:
     return f"; did you mean {similar[0]!r}?" if similar else ""
 
 
+def example_names(name: object, names: Sequence[str]) -> str:
+    """Return the end of a message about an unknown name among many: the similar names, or the first three."""
+    similar = difflib.get_close_matches(str(name), names, cutoff=0.4) or names[:3]
+    return f"names are, for example, {', '.join(similar)}"
+
+
 def is_number(value: object) -> bool:
     """Return whether an argument of a user is a finite real number of Python or NumPy; False for bool, inf and nan."""
-    return isinstance(value, numbers.Real) and not isinstance(value, bool) and math.isfinite(value)
+    if not isinstance(value, numbers.Real) or isinstance(value, bool):
+        return False
+    try:
+        return math.isfinite(value)
+    except OverflowError:  # an integer beyond the largest floating-point number
+        return False
 
 
 def is_integer(value: object) -> bool:

@@ -25,6 +25,7 @@ from ..dynamics.codegen.compiled import compiled
 from ..effects import EFFECTS
 from ..errors import InputError, is_integer, is_number, suggestion
 from ..machine import Machine
+from .delays import longest_delay
 
 
 @dataclass(frozen=True)
@@ -206,7 +207,8 @@ class ActuatorModel:
         self.inputs = np.zeros((blocks, (steps if delayed else 1) * drives, LANES))
         self.delays = np.zeros((blocks, drives, LANES))
         # Voltages commanded in this period (0) and in those before, V.
-        periods = 2 + math.ceil(_longest_delay(machine) / period) if delayed else 0
+        dead_time = longest_delay(machine, (d.name for d in machine.drives), "delay")
+        periods = 2 + math.ceil(dead_time / period) if delayed else 0
         self._history = np.zeros((blocks, periods, drives, LANES))
         self._commanded = np.zeros((blocks, drives, LANES)) if delayed else None
 
@@ -241,19 +243,6 @@ class ActuatorModel:
             return
         self._history[first:last, 0] = self._commanded[first:last]
         _delay(self._history, self.delays, self._period, self._period / self._steps, first, last, self.inputs)
-
-
-def _longest_delay(machine: Machine) -> float:
-    """Return the longest dead time that a drive can have within the bounds of its effects, s."""
-    longest = [0.0]
-    for drive in machine.drives:
-        definitions = [
-            e.definition
-            for e in machine.effects
-            if e.definition.delay and drive.name in e.components(machine)
-        ]
-        longest.append(sum(float(d.delay(*(p.upper for p in d.parameters))) for d in definitions if d.delay))
-    return max(longest)
 
 
 @compiled

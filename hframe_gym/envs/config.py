@@ -9,9 +9,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, TypedDict
 
-import numpy as np
-
-from ..errors import InputError
+from ..errors import InputError, is_number
 from ..machine import Machine
 from .actuators import ActuatorsLike
 from .domain_randomization import RandomizationLike
@@ -120,8 +118,7 @@ class EnvConfig:
                 raise InputError(f"{name} is {value!r}, it must be True or False")
         for name in ("penalty", "period", "longest_step"):
             value = getattr(self, name)
-            is_number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
-            if not (is_number and abs(value) < np.inf):
+            if not is_number(value):
                 raise InputError(f"{name} is {value!r}, it must be a finite number")
         if not self.penalty >= 0.0:
             raise InputError(f"penalty is {self.penalty!r}, it must be a number that is not negative")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +12,7 @@ from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
 from ..arrays import Array, EnvironmentParameters, Index
-from ..errors import InputError
+from ..errors import InputError, example_names
 from ..machine import Machine
 from .domain_randomization import (
     RandomizationLike,
@@ -150,12 +149,9 @@ class RuleSampler:
         """Add a rule for single parameters; raise InputError for one that matches none or can leave the limits."""
         indices = matching(self._space.names, rule)
         if not indices:
-            similar = (
-                get_close_matches(rule.parameter, self._space.names, cutoff=0.4) or self._space.names[:3]
-            )
             raise InputError(
                 f"randomize: machine {self._space.machine_name!r} and its task have no parameter {rule.parameter!r}; "
-                f"names are, for example, {', '.join(similar)}"
+                f"{example_names(rule.parameter, self._space.names)}"
             )
         self._add_step(indices, rule)
         # 0 remains 0

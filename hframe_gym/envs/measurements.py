@@ -20,6 +20,7 @@ from ..dynamics.codegen.compiled import compiled
 from ..dynamics.codegen.lane_program import LaneProgram
 from ..dynamics.codegen.native_calls import call_at
 from ..machine import SENSOR_KINDS, Machine, Sensor, SensorKind
+from .delays import longest_delay
 from .random_numbers import normal_pair, normal_pairs
 from .sensors import sensor_range_names
 
@@ -251,7 +252,8 @@ class DelayLine:
     def __init__(self, machine: Machine, blocks: int, h: float) -> None:
         self._h = h
         sensors = len(machine.sensors)
-        self._depth = math.ceil(_longest_delay(machine) / h) + 3
+        longest = longest_delay(machine, (s.channel for s in machine.sensors), "measurement_delay")
+        self._depth = math.ceil(longest / h) + 3
         self._history = np.zeros((blocks, self._depth, sensors, LANES))
         self.delays = np.zeros((blocks, sensors, LANES))
 
@@ -274,18 +276,6 @@ class DelayLine:
         ones. For times before the start of the episode, it is the reading at the start.
         """
         _interpolate(self._history, self.delays, self._h, step, first, last, out)
-
-
-def _longest_delay(machine: Machine) -> float:
-    """Return the longest delay that a sensor can have within the bounds of its effects, s."""
-    longest = [0.0]
-    for sensor in machine.sensors:
-        definitions = [e.definition for e in machine.effects if e.site == sensor.channel]
-        delays = (
-            d.measurement_delay(*(p.upper for p in d.parameters)) for d in definitions if d.measurement_delay
-        )
-        longest.append(sum(map(float, delays)))
-    return max(longest)
 
 
 @compiled

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from difflib import get_close_matches
 from typing import Any
 
 import numpy as np
 
 from ..arrays import Array
-from ..errors import InputError
+from ..errors import InputError, example_names
 from .environment_batch import EnvironmentBatch
 from .tasks import check_point
 
@@ -72,10 +71,7 @@ def _parameters(given: Any, batch: EnvironmentBatch, count: int) -> dict[str, Ar
     parameters = {}
     for name, value in given.items():
         if name not in names:
-            similar = get_close_matches(str(name), names, n=3, cutoff=0.4) or names[:3]
-            raise InputError(
-                f"{label}: unknown parameter {name!r}; names are, for example, {', '.join(similar)}"
-            )
+            raise InputError(f"{label}: unknown parameter {name!r}; {example_names(name, names)}")
         values = _numbers(f"{label}[{name!r}]", value, ((), (1,), (count,)), f"a number or {count} numbers")
         column = np.array(np.broadcast_to(values, (count,)))
         lower, upper = space.lower[names.index(name)], space.upper[names.index(name)]
