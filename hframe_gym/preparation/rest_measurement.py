@@ -365,7 +365,9 @@ def initial_velocity(
     velocities of the rigid motions (those that stretch no belt). Zero velocity is a candidate as well, because a run
     that is driven from its first row on has such slopes even if it begins at rest. The machine is simulated over 50 ms
     with each candidate. The one with the smallest sum of squared errors is chosen; others with at most twice this sum
-    remain possible.
+    remain possible. The declared machine may be wrong; one that is far too light moves alike from any start. Therefore
+    zero is not chosen where uniform motion at one of the velocities, without any machine, leaves less than half of the
+    squared errors of the simulation from rest.
 
     Args:
         recording: The run (times, s; voltages, V; measurements, m or rad, NaN where not measured).
@@ -402,8 +404,11 @@ def initial_velocity(
     # Velocities of the rigid motions: at rest, and as fitted.
     velocities = np.array([np.zeros(rigid.shape[1]), *(fitted for fitted, _ in significant)])
     states = np.hstack([np.tile(position, (len(velocities), 1)), velocities @ rigid.T])
-    costs = _costs_of_starts(states, recording, machine, noise)
-    best = int(np.argmin(costs))
+    simulated = _errors_of_starts(states, recording, machine, noise)
+    uniform = _errors_of_uniform_motion(velocities[1:] @ sensor_of_motion.T, recording, machine, noise)
+    costs, shown = _costs(simulated), sensor_of_motion.any(axis=1)
+    moves = _costs(uniform[:, :, shown]).min() < _CERTAIN_COST_RATIO * _costs(simulated[:1, :, shown])[0]
+    best = int(np.argmin(costs[1:])) + 1 if moves else int(np.argmin(costs))
     possible = costs <= costs[best] / _CERTAIN_COST_RATIO  # all others are excluded
     if best == 0 and not possible[1:].any():
         return at_rest
@@ -451,17 +456,36 @@ def _fit_velocity(
     return (velocities, covariance) if significant else None
 
 
-def _costs_of_starts(states: Array, recording: Recording, machine: Machine, noise: Array) -> Array:
-    """Return the sum of squared errors, in units of the noise, of simulations from the given states (starts,).
+def _errors_of_starts(states: Array, recording: Recording, machine: Machine, noise: Array) -> Array:
+    """Return the errors of simulations from the given states over the first 50 ms, shape (starts, rows, sensors)."""
+    rows = _rows_within(recording, _COMPARED_S)
+    time_s = recording.time_s[:rows] - recording.time_s[0]
+    motion = simulate_batch(machine, time_s, recording.inputs[:rows], start=states, states=False)
+    return _first_errors(motion.readings, recording, machine, noise)
+
+
+def _errors_of_uniform_motion(speeds: Array, recording: Recording, machine: Machine, noise: Array) -> Array:
+    """Return the errors of sensors that see the given speeds (starts, sensors) throughout, like `_errors_of_starts`."""
+    rows = _rows_within(recording, _COMPARED_S)
+    time_s = recording.time_s[:rows] - recording.time_s[0]
+    of_time = np.where(machine.position_sensors, time_s[:, None], 1.0)
+    return _first_errors(speeds[:, None] * of_time, recording, machine, noise)
+
+
+def _first_errors(readings: Array, recording: Recording, machine: Machine, noise: Array) -> Array:
+    """Return measured minus predicted first measurements (starts, rows, sensors), in units of the noise.
 
     Constant errors do not count, because the zeros of encoders are not known yet.
     """
-    rows = _rows_within(recording, _COMPARED_S)
-    time_s = recording.time_s[:rows] - recording.time_s[0]
-    readings = simulate_batch(machine, time_s, recording.inputs[:rows], start=states, states=False).readings
-    measured = np.isfinite(recording.outputs[:rows])
-    error = np.where(measured, recording.outputs[:rows] - readings, 0.0) / noise
+    outputs = recording.outputs[: readings.shape[1]]
+    measured = np.isfinite(outputs)
+    error = np.where(measured, outputs - readings, 0.0) / noise
     constant = measured & machine.position_sensors
-    error -= np.where(constant, error.sum(axis=1, keepdims=True) / np.maximum(measured.sum(axis=0), 1), 0.0)
-    cost = np.sum(error**2, axis=(1, 2))
+    mean = error.sum(axis=1, keepdims=True) / np.maximum(measured.sum(axis=0), 1)
+    return np.asarray(error - np.where(constant, mean, 0.0))
+
+
+def _costs(errors: Array) -> Array:
+    """Return the sum of squares of errors (starts, rows, sensors), infinite where a simulation diverges."""
+    cost = np.sum(errors**2, axis=(1, 2))
     return np.where(np.isfinite(cost), cost, np.inf)

@@ -93,6 +93,30 @@ def test_a_force_that_depends_on_the_position_acts_where_the_encoder_counts() ->
     assert np.abs(initial.velocity_deviations).max() < 0.01
 
 
+def motor_run(kind: str, speed: float) -> tuple[Machine, Recording]:
+    """Return a motor of 50 times its declared inertia and friction, and its run at 865 Hz from an initial speed."""
+    declared = load_machine("motor")
+    sensor = dataclasses.replace(declared.sensors[0], kind=kind, noise=0.0, resolution=0.0)
+    declared = declared.replace(sensors=(sensor,))
+    shaft = declared.coordinates[0]
+    heavy = declared.replace({"shaft.mass": 50 * shaft.mass, "shaft.coulomb": 50 * shaft.coulomb})
+    time_s = np.arange(600) / 865
+    volts = np.where(time_s < 0.4, 12.0, -12.0)[:, None]
+    outputs = heavy.simulate(time_s, volts, [0.0, speed]).outputs
+    noise = np.random.default_rng(0).normal(0.0, 0.3 if kind == "speed" else 1e-3, outputs.shape)
+    return declared, Recording("cut", time_s, volts, outputs + noise)
+
+
+@pytest.mark.parametrize("kind", ["speed", "encoder"])
+@pytest.mark.parametrize("speed", [150.0, -60.0, 0.0])
+def test_a_declared_machine_that_is_far_too_light_does_not_hide_the_initial_velocity(
+    kind: str, speed: float
+) -> None:
+    declared, recording = motor_run(kind, speed)
+    velocity = estimate_initial_state(recording, declared).velocity[0]
+    assert velocity == pytest.approx(speed, abs=0.05 * abs(speed))
+
+
 def test_the_stretch_of_belts_does_not_depend_on_how_they_are_divided(hframe: Machine) -> None:
     """The 20th-order machine has more belt sections for the same stage."""
     finer = load_machine("hframe-order20")
