@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -17,8 +17,9 @@ from ..judge.criteria import SelectionCriteria
 from ..judge.table import is_better_than_table
 from .curves import run_ratio
 from .document import STAGES, Evaluation, Report
+from .rows import EffectRow
 from .saved_result import SavedResult
-from .units import readable_unit
+from .units import percent, readable_unit
 
 # Error in percent of the motion that is small: a feed-forward control by the machine removes the other 99 %.
 _SMALL_PERCENT_OF_MOTION = 1.0
@@ -44,13 +45,13 @@ _NAMED_CHANGES = 3  # Parameters that are named, those first that changed most.
 
 
 def answers(
-    saved: SavedResult, effects: Sequence[Mapping[str, Any]], runs: Sequence[str], step: str
+    saved: SavedResult, effects: Sequence[EffectRow], runs: Sequence[str], step: str
 ) -> dict[str, list[str]]:
     """Answer the five questions that a reader of the page has first.
 
     Args:
         saved: The result.
-        effects: Rows of the effects on the page, with the keys "name", "site", "gain", "rivals" and "equivalent".
+        effects: Effects that were found.
         runs: Names of the held-out runs, the worst first.
         step: The first of the next steps, in words.
 
@@ -96,7 +97,7 @@ def _changes(saved: SavedResult) -> list[str]:
     return [f"Parameters that differ most from the declared machine: {', '.join(texts)}."] if texts else []
 
 
-def _certainty(saved: SavedResult, effects: Sequence[Mapping[str, Any]]) -> list[str]:
+def _certainty(saved: SavedResult, effects: Sequence[EffectRow]) -> list[str]:
     """Return how sure the verdict is: what the held-out runs say, what else explains them, what is uncertain."""
     report = saved.report
     if report.verdict == "unexplained":
@@ -105,7 +106,7 @@ def _certainty(saved: SavedResult, effects: Sequence[Mapping[str, Any]]) -> list
     sentences = []
     if effects:
         sentences += removed_by_effects(report)
-        rivals = [f"{e['name']} at {e['site']} (or {', '.join(e['rivals'])})" for e in effects if e["rivals"]]
+        rivals = [f"{e.name} at {e.site} (or {', '.join(e.rivals)})" for e in effects if e.rivals]
         others = "effect that was tried" if report.unfinished else "effect of the library"
         sentences.append(
             f"These runs do not tell apart: {'; '.join(rivals)}."
@@ -496,12 +497,3 @@ def _dependence_sentences(report: Report) -> list[str]:
             f"{100 * d.share:.0f} % of its variance."
         )
     return sentences
-
-
-def percent(fraction: float) -> str:
-    """Format a fraction in percent; values that would round to 100 are "more than 99.9".
-
-    Args:
-        fraction: The fraction, dimensionless.
-    """
-    return "more than 99.9" if fraction > 0.9995 else f"{100 * fraction:.3g}"

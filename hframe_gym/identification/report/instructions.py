@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from ...controllers import TextbookPID, shorter_period
 from ...envs import EnvConfig
@@ -15,16 +14,18 @@ from ...web_page import NextStep, number
 from ..fit.inseparable_parameters import sum_text
 from ..judge.criteria import SelectionCriteria
 from .document import Report
+from .rows import EffectRow
 from .saved_result import SavedResult, next_command
 
 _NO_DIRECTION = (
     "Add a sensor that shows the direction of the motion, such as an encoder with two channels: without one, the force "
     "that the model lacks is not seen. Then record the runs again and identify with them."
 )
-_NO_EXPERIMENT = {  # by kind of cause that explains as much as an effect
-    "rivals": "No experiment is proposed: no tested run within rated values and travel reliably distinguishes",
-    "equivalent": "No recording can distinguish",
-}
+# Of an effect and another one that explains as much.
+_NO_EXPERIMENT = (
+    "No experiment is proposed: no tested run within rated values and travel reliably distinguishes"
+)
+_EQUIVALENT = "No recording can distinguish"
 _SHORTER_PERIODS_S = (0.005, 0.002, 0.001, 0.0005)  # control periods at which a textbook PID is tried
 _MOTIONS = {  # by the quantity of a variable: the run that shows a dependence on it
     "velocity": "move {} at six or more constant speeds in both directions, from the slowest to the top speed",
@@ -51,14 +52,14 @@ _MEASUREMENTS = (  # by the ending of a parameter's name, those first that are m
 
 
 def next_steps(
-    saved: SavedResult, folder: Path, effects: Sequence[Mapping[str, Any]], runs: Sequence[str]
+    saved: SavedResult, folder: Path, effects: Sequence[EffectRow], runs: Sequence[str]
 ) -> list[NextStep]:
     """Return what to do next, the most important step first.
 
     Args:
         saved: The result.
         folder: Folder of the result that the commands name.
-        effects: Effects with the keys "name", "site", "rivals" and "equivalent".
+        effects: Effects that were found.
         runs: Names of the held-out runs, the worst first.
 
     Returns:
@@ -88,7 +89,7 @@ def next_steps(
     return [*steps, control, *_continued(saved, folder), *measurements, *findings]
 
 
-def _recordings(saved: SavedResult, folder: Path, effects: Sequence[Mapping[str, Any]]) -> list[NextStep]:
+def _recordings(saved: SavedResult, folder: Path, effects: Sequence[EffectRow]) -> list[NextStep]:
     """Return what to record: a proposed experiment, or runs that show what the missing force depends on."""
     report = saved.report
     if report.next_experiment:
@@ -104,10 +105,10 @@ def _recordings(saved: SavedResult, folder: Path, effects: Sequence[Mapping[str,
             f"{_isolating(report, saved.machine.commands_in_words)}. Then identify again with them."
         )
         return [NextStep(text, _again(saved, folder))]
-    for kind, why in _NO_EXPERIMENT.items():
-        for effect in effects:
-            if effect[kind]:
-                return [NextStep(f"{why} {effect['name']} at {effect['site']} from {effect[kind][0]}.")]
+    for effect in (e for e in effects if e.rivals):
+        return [NextStep(f"{_NO_EXPERIMENT} {effect.name} at {effect.site} from {effect.rivals[0]}.")]
+    for effect in (e for e in effects if e.equivalent):
+        return [NextStep(f"{_EQUIVALENT} {effect.name} at {effect.site} from {effect.equivalent[0]}.")]
     return []
 
 

@@ -9,21 +9,18 @@ from typing import Any
 import numpy as np
 
 from ...arrays import Array
-from ...effects.smooth_table import TABLE_FAMILY
 from ...errors import InputError
 from ...files import output_batch
-from ...machine import Machine, written_unit
 from ...web_page import number, write_page
-from ..fit.inseparable_parameters import sum_text
-from ..fit.parameter_diagnostics import parameter_doubts
-from .answers import answers, drifts, largest_position_error, percent, tone_of_remainder
+from .answers import answers, drifts, largest_position_error, tone_of_remainder
 from .correlations import error_correlations
 from .curves import page_curves, worst_first
 from .document import ChannelErrors, Report, compared_machines
 from .instructions import next_steps
 from .plots import report_panels, save_plots, slow_fractions
+from .rows import correlation_rows, effect_rows, inseparable_rows, parameter_rows
 from .saved_result import load_result
-from .units import readable_unit
+from .units import percent, readable_unit
 
 _HEADINGS = {
     "effect_found": "Missing effects found",
@@ -59,7 +56,7 @@ def build_report(folder: Path, final_folder: Path | None = None) -> Path:
     tone = tone_of_remainder(report)
     runs = worst_first(report, curves)
     panels = report_panels(report, curves, machine, saved.declared, runs)
-    effects = _effect_rows(report, machine)
+    effects = effect_rows(report, machine)
     steps = next_steps(saved, final_folder or folder, effects, runs)
     values = {
         "title": f"Identification of {saved.declared.name}",
@@ -77,9 +74,9 @@ def build_report(folder: Path, final_folder: Path | None = None) -> Path:
         "runs": [_run_row(report, curves, run) for run in runs],
         "curves": page_curves(report, curves),
         "effects": effects,
-        "parameters": _parameter_rows(machine, saved.declared),
-        "correlations": _correlation_rows(machine),
-        "determined": _determined_sums(report, machine),
+        "parameters": parameter_rows(machine, saved.declared),
+        "correlations": correlation_rows(machine),
+        "determined": inseparable_rows(report, machine),
         "whiteness": [
             {"run": run, "channels": error_correlations(curves, run, report.channels, machine.input_channels)}
             for run in runs
@@ -184,90 +181,3 @@ def _run_row(report: Report, curves: Mapping[str, Array], run: str) -> dict[str,
         "name": run,
         "errors": [f"{ratio('before', j)} → {ratio('after', j)}" for j in range(len(report.channels))],
     }
-
-
-def _effect_rows(report: Report, machine: Machine) -> list[dict[str, Any]]:
-    """Return the effects, largest held-out gain first, with formula and parameters; a table is drawn instead."""
-    definitions = {e.label: e.definition for e in machine.effects}
-    rows = []
-    for e in sorted(report.effects, key=lambda e: -e.held_out_gain):
-        definition = definitions[f"{e.name}@{e.site}"]
-        table = definition.family == TABLE_FAMILY
-        size = "" if e.size is None else f"Its force is {number(100 * e.size)} % of the drives' force (rms)."
-        parameters = [
-            {
-                "name": key,
-                "value": f"{p.value:.5g}",
-                "std": "" if p.std is None else f"± {p.std:.2g}",
-                "unit": written_unit(p.unit),
-            }
-            for key, p in e.parameters.items()
-        ]
-        rows.append(
-            {
-                "name": e.name.replace("_", " "),
-                "site": e.site,
-                "formula": definition.formula,
-                "table": table,
-                "parameters": [] if table else parameters,
-                "size": size,
-                "gain": _gain_sentence(e.held_out_gain),
-                "rivals": [r for r in e.rivals if r not in definition.equivalent],
-                "equivalent": [r for r in e.rivals if r in definition.equivalent],
-            }
-        )
-    return rows
-
-
-def _gain_sentence(gain: float) -> str:
-    """Return what an effect does to the squared error of the held-out runs; a negative gain makes it larger."""
-    if gain < 0.0:
-        return f"It increases the squared error of the held-out runs by {-100 * gain:.3g} %."
-    return f"It removes {percent(gain)} % of the squared error of the held-out runs."
-
-
-def _parameter_rows(machine: Machine, declared: Machine) -> list[dict[str, str]]:
-    """Return every identified parameter except a table's, with its standard deviation and the reasons to doubt it."""
-    if machine.uncertainty is None:
-        return []
-    doubts = parameter_doubts(machine, declared)
-    tables = tuple(f"{e.label}." for e in machine.effects if e.definition.family == TABLE_FAMILY)
-    rows = []
-    for name in (n for n in machine.uncertainty.names if not n.startswith(tables)):
-        rows.append(
-            {
-                "name": name,
-                "declared": f"{declared.parameters[name]:.5g}" if name in declared.parameters else "",
-                "value": f"{machine.parameters[name]:.5g}",
-                "std": f"{machine.uncertainty.std(name):.2g}",
-                "unit": machine.unit(name),
-                "doubt": "; ".join(doubts[name]),
-            }
-        )
-    return rows
-
-
-def _correlation_rows(machine: Machine) -> list[dict[str, Any]]:
-    """Return the correlations of each identified parameter with those before it, without ordinates of tables."""
-    if machine.uncertainty is None:
-        return []
-    tables = tuple(f"{e.label}." for e in machine.effects if e.definition.family == TABLE_FAMILY)
-    kept = [k for k, name in enumerate(machine.uncertainty.names) if not name.startswith(tables)]
-    matrix = machine.uncertainty.correlation[np.ix_(kept, kept)]
-    return [
-        {"name": machine.uncertainty.names[k], "values": [float(r) for r in row[:i]]}
-        for i, (k, row) in enumerate(zip(kept, matrix, strict=True))
-    ]
-
-
-def _determined_sums(report: Report, machine: Machine) -> list[dict[str, str]]:
-    """Return the parameters that the data do not separate, with what they determine of each set."""
-    rows = []
-    for group in report.not_separable:
-        sums = [
-            f"{sum_text(entry.weights)} = {entry.value:.5g} ± {entry.std:.2g} "
-            f"{machine.unit(next(iter(entry.weights)))}"
-            for entry in group.determined
-        ]
-        rows.append({"names": ", ".join(group.parameters), "sums": "; ".join(sums) or "no combination"})
-    return rows

@@ -1,4 +1,4 @@
-"""Units in which values of a channel are written."""
+"""Values as pages write them: the unit of a channel, and fractions in percent."""
 
 from __future__ import annotations
 
@@ -20,3 +20,12 @@ def readable_unit(channel: str, largest: float) -> tuple[float, str]:
     """
     base = split_unit(channel)[1] or channel.rpartition("_")[2]
     return next((s for s in _SCALES.get(base, ()) if s[0] * largest < 1000.0), (1.0, base))
+
+
+def percent(fraction: float) -> str:
+    """Format a fraction in percent; values that would round to 100 are "more than 99.9".
+
+    Args:
+        fraction: The fraction, dimensionless.
+    """
+    return "more than 99.9" if fraction > 0.9995 else f"{100 * fraction:.3g}"
