@@ -121,7 +121,9 @@ def print_schema() -> None:
 def new_machine_file(
     like: Annotated[
         str,
-        Option(help="Template: hframe, corexy, printer, axis, belt-axis, motor, pendulum, wheel or servo."),
+        Option(
+            help="Template: hframe, corexy, printer, axis, belt-axis, xy-table, motor, pendulum, wheel or servo."
+        ),
     ] = "",
     out: Annotated[Path | None, Option(help="File to write.")] = None,
     name: Annotated[str, Option(help="Name of the machine (default: name of the file).")] = "",
@@ -141,7 +143,9 @@ def new_machine_file(
     rated_voltage: Annotated[float | None, Option(help="Rated voltage, V.")] = None,
     encoder_lines: Annotated[int | None, Option(help="Lines of the motors' encoders; 0: none.")] = None,
     linear_sensor: Annotated[bool | None, Option(help="Whether sensors measure x and y.")] = None,
-    drive: Annotated[str, Option(help="What is commanded: voltage, duty-cycle, current or torque.")] = "",
+    drive: Annotated[
+        str, Option(help="What is commanded: voltage, duty-cycle, current, torque, position or speed.")
+    ] = "",
     sensor: Annotated[
         list[str] | None,
         Option(

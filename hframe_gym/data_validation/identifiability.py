@@ -133,8 +133,8 @@ def check_parameters(data: Dataset, machine: Machine) -> list[Finding]:
     ]
     if undetermined:
         message = (
-            f"not determined by these runs (standard error above {100 * _UNDETERMINED_STD:.0f} %), alone or because "
-            "some of them act alike: fitted values mean nothing; motion that is faster or reaches limits tells more"
+            f"not determined by these runs (standard error above {100 * _UNDETERMINED_STD:.0f} %), at most the ratios "
+            "of some: fitted values stay near the machine file; motion that is faster or reaches limits tells more"
         )
         findings.append(Finding("advice", "", ", ".join(undetermined), message))
     for bound in bounds:

@@ -203,6 +203,40 @@ def axis() -> Machine:
     )
 
 
+def xy_table() -> Machine:
+    """Return a stage with a motor for each direction, as CNC routers, gantries and plotters have it.
+
+    The bridge moves along x and carries the carriage, which moves along y; neither motor moves the other axis. With the
+    gear ratio of `axis`, the belts of the motors are taken as stiff.
+
+    Returns:
+        The preset `xy-table`: coordinates x, y (m), no belts, two drives of 24 V, sensors x_m and y_m.
+    """
+    return Machine(
+        name="xy-table",
+        description="An XY table: one motor for each direction, as in a CNC router or a gantry.",
+        coordinates=(
+            Coordinate("x", mass=4.0, viscous=10.0, coulomb=3.0, range=(-0.25, 0.25)),
+            Coordinate("y", mass=1.5, viscous=5.0, coulomb=1.5, range=(-0.2, 0.2)),
+        ),
+        belts=(),
+        drives=tuple(
+            Drive(
+                f"motor_{axis}",
+                f"v_{axis}_V",
+                axis,
+                Kt=0.05,
+                Ke=0.05,
+                resistance=1.0,
+                gear_ratio=50.0,
+                rated_voltage=24.0,
+            )
+            for axis in ("x", "y")
+        ),
+        sensors=tuple(Sensor(f"{axis}_m", {axis: 1.0}, noise=20e-6) for axis in ("x", "y")),
+    )
+
+
 # A belt axis with the motor of the CoreXY stage below; lengths at the center of its travel of 0.5 m.
 BELT_AXIS_MOTOR_SIDE = 0.36  # m, from the pulley of the motor to the carriage
 BELT_AXIS_IDLER_SIDE = 1.08  # m, from the pulley of the motor around the idler, 0.72 m away, to the carriage
@@ -459,6 +493,7 @@ BUILTIN_MACHINES: dict[str, Callable[[], Machine]] = {
     "hframe-order20": hframe_order20,
     "axis": axis,
     "belt-axis": belt_axis,
+    "xy-table": xy_table,
     "corexy": corexy,
     "printer": printer,
     "motor": motor,

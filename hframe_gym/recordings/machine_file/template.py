@@ -11,12 +11,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from ...arrays import Array
 from ...errors import InputError, suggestion
 from ...files import write_text
 from ...machine import (
     BUILTIN_MACHINES,
     DRIVE_KINDS,
-    METERS,
     RADIANS,
     SENSED_QUANTITIES,
     SENSOR_KINDS,
@@ -34,20 +36,25 @@ from .schema import MachineFile
 
 _QUADRATURE = 4  # edges per line of an encoder
 _LINE = 100  # characters of a line of the file, comments excepted
-# Beginning and end of the columns of commands, by the kinds of drives that have no law of their own.
+# Beginning of the columns of commands, by the kinds of drives that a DC motor may have; they end in the unit.
 _COMMANDS = {
-    "voltage": ("v", "_V"),
-    "duty-cycle": ("duty", ""),
-    "current": ("i", "_A"),
-    "torque": ("torque", "_Nm"),
+    "voltage": "v",
+    "duty-cycle": "duty",
+    "current": "i",
+    "torque": "torque",
+    "position": "command",
+    "speed": "command",
 }
+# Loop of a drive that follows a set point. Its speed follows with 100 1/s (16 Hz), below the belt modes of small
+# stages; the other corner frequencies are a quarter and a fifth of it, as is usual (Ellis 2012, Control System
+# Design Guide).
+_SPEED_BANDWIDTH, _INTEGRAL_RATE, _POSITION_GAIN = 100.0, 25.0, 20.0  # 1/s
 # What a DC motor has at rest at its rated voltage: A, Nm.
 _AT_REST: dict[str, Callable[[Drive], float]] = {
     "current": lambda drive: drive.rated_voltage / drive.resistance,
     "torque": lambda drive: drive.Kt * drive.rated_voltage / drive.resistance,
 }
 _LONGEST = {"travel": 20.0, "pulley_radius": 1.0}  # m; larger values are refused, they are in millimeters
-_AXIS_PULLEY = 0.02  # m; with it and no gear, the template `axis` has its 50 rad/m
 
 
 @dataclass(frozen=True)
@@ -114,6 +121,14 @@ TEMPLATES: dict[str, Template] = {
         {"x": "The carriage. mass: everything that moves with it, without motor and pulley."},
         {"motor_side": (0.5, 0.0), "idler_side": (1.5, 0.0)},
     ),
+    "xy-table": Template(
+        "XY table, a motor for each direction",
+        "XY table: each motor moves one axis directly, gear_ratio is the angle of its shaft per m of travel.",
+        {
+            "x": "What moves along x, the y axis included. mass: plus gear_ratio^2 times the inertia of the rotor.",
+            "y": "What moves along y. mass: plus gear_ratio^2 times the inertia of the rotor.",
+        },
+    ),
     "motor": Template(
         "Motor",
         "A motor: angles count in the direction of a positive voltage. Without a range it may turn freely.",
@@ -135,6 +150,7 @@ TEMPLATES: dict[str, Template] = {
         {"horn": _SHAFT},
     ),
 }
+_MEASURED = "Does a sensor measure {} directly?"
 _PULLEY_COMMENT = (
     "The pulley of a motor, behind the gear. mass: moment of inertia of the pulley, plus gear_ratio^2 times that of "
     "the rotor. viscous: without the back-EMF, which follows from Ke. radius: pitch radius, teeth * pitch / (2 pi)."
@@ -152,9 +168,14 @@ _DUTY_COMMENT = (
     "supply; supply: column of a measured one, V. Kt and Ke are equal in SI units. Optional: current_limit (A)."
 )
 _SET_POINT_COMMENT = (
-    "A drive that follows a commanded angle; channel is its column in the recordings. Torque of the motor shaft: "
-    "speed_gain * (speed wanted - speed), at most torque_limit; speed wanted: position_gain * (command - angle), at "
-    "most speed_limit. A stepper: position_gain * speed_gain = 50 * holding torque. rated_position: "
+    "A drive that follows a commanded position; channel is its column in the recordings. Torque of the motor shaft: "
+    "speed_gain * (speed wanted - speed), at most torque_limit; speed wanted: position_gain * (command - position), at "
+    "most speed_limit. A stepper: position_gain * speed_gain = 50 * holding torque. Optional: integral_rate. "
+    "rated_position: largest command of the environment. `hframe identify` estimates the gains."
+)
+_SPEED_COMMENT = (
+    "A drive that follows a commanded speed; channel is its column in the recordings. Torque of the motor shaft: "
+    "speed_gain * (command - speed + integral_rate * its integral), at most torque_limit. rated_speed: "
     "largest command of the environment. `hframe identify` estimates the gains."
 )
 _CURRENT_COMMENT = (
@@ -175,6 +196,7 @@ _DRIVE_COMMENTS = {
     "current": _CURRENT_COMMENT,
     "torque": _TORQUE_COMMENT,
     "position": _SET_POINT_COMMENT,
+    "speed": _SPEED_COMMENT,
 }
 _LASER_COMMENT = (
     "A sensor with a fixed zero. noise: standard deviation at rest; resolution: 0 for an analog sensor."
@@ -202,8 +224,9 @@ class MachineOptions:
         rated_voltage: Rated voltage of the motors, V.
         encoder_lines: Lines of the encoders on the motor shafts, read in quadrature; 0 for no encoders.
         linear_sensor: Whether sensors measure x and y (an axis: x).
-        drive: What is commanded, for templates with DC motors: "voltage", "duty-cycle", "current" or "torque". The
-            largest current or torque is that of the motor at rest at its rated voltage.
+        drive: What is commanded, for templates with DC motors: "voltage", "duty-cycle", "current", "torque", "position"
+            or "speed". The largest current or torque is that of the motor at rest at its rated voltage, the largest
+            speed the one without load; the gains of a loop are typical ones.
         sensor: Further sensors, "KIND@PART" each: a kind of sensor, and the coordinate that it measures; for a current
             the drive, for a belt force the belt. Their noise and resolution are 0 unless `values` has them.
         values: Further values by full name, SI, for example {"x.coulomb": 2.0, "x_m.noise": 1e-5}.
@@ -265,7 +288,7 @@ def template_questions(like: str) -> tuple[TemplateQuestion, ...]:
     )
     ask("mass", mass, ",".join(f"{c.mass:g}" for c in axes))
     if not turning:
-        radius = moved.radius if is_pulley else _AXIS_PULLEY
+        radius = moved.radius if is_pulley else 1.0 / drive.gear_ratio
         ask("pulley_radius", "Pitch radius of the motors' pulleys, m", radius)
     if not follows:
         ratio = drive.gear_ratio if moved.kind == "rotary" else 1.0
@@ -278,6 +301,8 @@ def template_questions(like: str) -> tuple[TemplateQuestion, ...]:
         "sensor", f"Further sensors, beside {channels}", "", _further_sensors(machine), several=True
     )
     if follows:
+        if not turning:
+            ask("linear_sensor", _MEASURED.format(" and ".join(machine.tool_axes)), True)
         return (*questions, further)
     ask("Kt", "Torque constant of the motors, Nm/A", drive.Kt)
     ask("resistance", "Resistance of a motor, ohm", drive.resistance)
@@ -288,7 +313,7 @@ def template_questions(like: str) -> tuple[TemplateQuestion, ...]:
     lines = round(2 * math.pi / (_QUADRATURE * quanta[0] * drive.gear_ratio)) if quanta else 0
     ask("encoder_lines", "Lines of the encoders on the motors (0: none)", lines)
     if not turning:
-        ask("linear_sensor", f"Does a sensor measure {' and '.join(machine.tool_axes)} directly?", True)
+        ask("linear_sensor", _MEASURED.format(" and ".join(machine.tool_axes)), True)
     return tuple(questions)
 
 
@@ -317,9 +342,14 @@ def new_machine(like: str, name: str, options: MachineOptions) -> Machine:
     machine = _with_masses(machine, options)
     gear_ratios = {d.coordinate: d.gear_ratio for d in BUILTIN_MACHINES[like]().drives}
     machine = machine.replace(sensors=_sensors(machine, gear_ratios, options))
-    machine = machine.replace(drives=tuple(_commanded(d, options.drive) for d in machine.drives))
-    if machine.drive_laws and machine.axis_unit is METERS:
-        machine = machine.replace(drives=tuple(_reaching(machine, d) for d in machine.drives))
+    inertias = _shaft_inertias(machine)
+    machine = machine.replace(
+        drives=tuple(
+            _commanded(machine, drive, options.drive, inertia)
+            for drive, inertia in zip(machine.drives, inertias, strict=True)
+        )
+    )
+    machine = machine.replace(drives=tuple(_reaching(machine, d) for d in machine.drives))
     for text in options.sensor:
         machine = machine.replace(sensors=(*machine.sensors, _further_sensor(machine, text)))
     if not machine.sensors:
@@ -467,30 +497,77 @@ def _drive(machine: Machine, drive: Drive, options: MachineOptions) -> Drive:
     return dataclasses.replace(drive, **new)  # type: ignore[arg-type]
 
 
-def _commanded(drive: Drive, kind: str | None) -> Drive:
-    """Return a drive of another kind, whose column and largest command are those of the same motor."""
+def _shaft_inertias(machine: Machine) -> Array:
+    """Return the moment of inertia that each motor shaft moves while the other drives hold, kg m^2, shape (drives,)."""
+    per_axis = rest_positions_per_axis(machine)  # (coordinates, axes)
+    of_drives = per_axis[[machine.coordinate_names.index(d.coordinate) for d in machine.drives]]
+    axes = np.linalg.inv(of_drives)  # travel of each axis per position of each drive
+    masses = np.array([c.mass for c in machine.coordinates])
+    along_drives = per_axis @ axes
+    ratios = np.array([d.gear_ratio for d in machine.drives])
+    return np.asarray(masses @ along_drives**2 / ratios**2)
+
+
+def _commanded(machine: Machine, drive: Drive, kind: str | None, inertia: float) -> Drive:
+    """Return a drive of another kind, whose column and largest command or torque are those of the same motor.
+
+    `inertia` is what its shaft moves, kg m^2.
+    """
     if kind is None or kind == drive.kind:
         return drive
     if kind not in _COMMANDS:
         raise InputError(
-            f"--drive {kind}: choose one of {', '.join(_COMMANDS)}{suggestion(kind, _COMMANDS)}; the templates printer "
-            "and servo follow a position, and docs/machine.md describes all kinds"
+            f"--drive {kind}: choose one of {', '.join(_COMMANDS)}{suggestion(kind, _COMMANDS)}; docs/machine.md "
+            "describes all kinds"
         )
-    number = "".join(c for c in drive.name if c.isdigit())
-    letter, ending = _COMMANDS[kind]
-    drive = dataclasses.replace(drive, kind=kind, channel=f"{letter}{number}{ending}")
+    of_kind = DRIVE_KINDS.get(kind)
+    unit = "" if of_kind.fraction else of_kind.unit(machine.coordinate(drive.coordinate).kind)
+    channel = f"{_COMMANDS[kind]}{drive.name.removeprefix('motor')}{'_' * bool(unit)}{unit.replace('/', '_')}"
+    if of_kind.law is not None:
+        return _set_point_drive(drive, kind, channel, inertia)
+    drive = dataclasses.replace(drive, kind=kind, channel=channel)
     if kind not in _AT_REST:
         return drive
     largest = float(f"{_AT_REST[kind](drive):.4g}")
-    fixed: dict[str, Any] = {**DRIVE_KINDS.get(kind).fixed, **({"Kt": 1.0} if kind == "torque" else {})}
+    fixed: dict[str, Any] = {**of_kind.fixed, **({"Kt": 1.0} if kind == "torque" else {})}
     return dataclasses.replace(drive, rated_voltage=largest, voltage_range=None, **fixed)
 
 
+def _set_point_drive(drive: Drive, kind: str, channel: str, inertia: float) -> Drive:
+    """Return a drive whose loop makes the same motor follow positions or speeds; `inertia` at its shaft in kg m^2."""
+    values = {
+        "speed_gain": _SPEED_BANDWIDTH * inertia,
+        "integral_rate": _INTEGRAL_RATE,
+        "torque_limit": _AT_REST["torque"](drive),
+    }
+    without_load = float(f"{drive.rated_voltage / drive.emf_constant:.4g}")  # m/s or rad/s
+    if kind == "position":
+        values |= {"position_gain": _POSITION_GAIN, "speed_limit": without_load}
+    fixed: dict[str, Any] = dict(DRIVE_KINDS.get(kind).fixed)
+    return dataclasses.replace(
+        drive,
+        kind=kind,
+        channel=channel,
+        rated_voltage=without_load,
+        voltage_range=None,
+        law_parameters={name: float(f"{value:.4g}") for name, value in values.items()},
+        **fixed,
+    )
+
+
 def _reaching(machine: Machine, drive: Drive) -> Drive:
-    """Return a drive of positions whose largest command is the angle in the farthest corner of the workspace, rad."""
+    """Return a drive whose largest commanded position is that in the farthest corner of the workspace.
+
+    That of a pulley is rounded up to whole rad. Other drives are returned as they are.
+    """
+    if drive.command != "position":
+        return drive
     per_axis = rest_positions_per_axis(machine)[machine.coordinate_names.index(drive.coordinate)]
     corner = [max(map(abs, limits)) if limits else 0.0 for limits in machine.axis_ranges]
-    return dataclasses.replace(drive, rated_voltage=float(math.ceil(abs(per_axis) @ corner)))
+    largest = float(abs(per_axis) @ corner)
+    if drive.coordinate not in machine.tool_axes:
+        largest = math.ceil(largest)
+    return dataclasses.replace(drive, rated_voltage=float(largest))
 
 
 def _with_masses(machine: Machine, options: MachineOptions) -> Machine:
@@ -523,7 +600,11 @@ def _sensors(
     encoders = []
     for drive in machine.drives if options.encoder_lines else ():
         kind = machine.coordinate(drive.coordinate).kind
-        channel = f"{drive.coordinate}_rad" if kind == "rotary" else "x_encoder_m" if carriages else "x_m"
+        channel = (
+            f"{drive.coordinate}_rad"
+            if kind == "rotary"
+            else f"{drive.coordinate}{'_encoder' * bool(carriages)}_m"
+        )
         quantum = 2 * math.pi / (_QUADRATURE * options.encoder_lines * drive.gear_ratio)
         encoders.append(Sensor(channel, {drive.coordinate: 1.0}, resolution=quantum, kind="encoder"))
     return (*encoders, *carriages)

@@ -72,7 +72,7 @@ FURTHER_SENSORS = [  # template, option, channel, unit
     ("corexy", "acceleration@y", "y_m_s2", "m/s^2"),
     ("corexy", "current@motor1", "motor1_A", "A"),
     ("corexy", "belt-force@belt1_short", "belt1_short_N", "N"),
-    ("corexy", "laser@x", "x_laser_m", "m"),  # x_m exists
+    ("corexy", "laser@phi1", "phi1_laser_rad", "rad"),  # phi1_rad exists
     ("motor", "absolute-angle@shaft", "shaft_absolute_angle_rad", "rad"),
     ("servo", "encoder@horn", "horn_encoder_rad", "rad"),
 ]
@@ -176,6 +176,58 @@ def test_an_axis_with_a_pulley_a_rotor_and_an_encoder_only() -> None:
     assert both.output_channels == ("x_encoder_m", "x_m")
 
 
+@pytest.mark.parametrize(
+    ("like", "kind", "channel", "largest"),
+    [  # largest position: half of the travel, of a pulley in the corner; largest speed: rated voltage / (Ke gear_ratio)
+        ("axis", "position", "command_m", 0.25),
+        ("xy-table", "position", "command_x_m", 0.25),
+        ("xy-table", "speed", "command_x_m_s", 24.0 / (0.05 * 50.0)),
+        (
+            "corexy",
+            "position",
+            "command1_rad",
+            math.ceil(0.3 / BUILTIN_MACHINES["corexy"]().coordinate("phi1").radius),
+        ),
+        ("motor", "speed", "command_rad_s", 12.0 / 0.05),
+    ],
+)
+def test_a_motor_behind_a_drive_that_follows_set_points_reaches_its_goals(
+    like: str, kind: str, channel: str, largest: float, tmp_path: Path
+) -> None:
+    voltage = new_machine(like, "mine", MachineOptions()).drives[0]
+    write_machine_template(like, new_machine(like, "mine", MachineOptions(drive=kind)), tmp_path / "m.json")
+    machine = load_machine(tmp_path / "m.json")
+    drive = machine.drives[0]
+    assert (drive.kind, drive.channel) == (kind, channel)
+    assert drive.rated_voltage == pytest.approx(largest, rel=1e-3)
+    stall_torque = voltage.Kt * voltage.rated_voltage / voltage.resistance
+    assert drive.law_parameters["torque_limit"] == pytest.approx(stall_torque, rel=1e-3)
+    period = 0.002 if machine.belts else 0.01
+    result = evaluate("set-point", machine, randomize="none", episodes=4, period=period)
+    assert next(iter(result.scores["controllers"]["set-point"]["success"].values())) == 1.0
+
+
+def test_the_loop_of_a_speed_is_as_fast_whatever_its_motor_moves() -> None:
+    """Of a CoreXY, a motor that turns alone moves x and y by half of its belt."""
+    machine = new_machine("corexy", "mine", MachineOptions(drive="speed", mass=(0.5, 1.5)))
+    pulley = machine.coordinate("phi1")
+    inertia = pulley.mass + (0.5 + 1.5) * (pulley.radius / 2.0) ** 2
+    assert machine.drives[0].law_parameters["speed_gain"] == pytest.approx(100.0 * inertia, rel=1e-3)
+
+
+def test_an_xy_table_has_an_encoder_on_each_motor() -> None:
+    both = new_machine("xy-table", "mine", MachineOptions(encoder_lines=500))
+    assert both.output_channels == ("x_encoder_m", "y_encoder_m", "x_m", "y_m")
+    alone = new_machine("xy-table", "mine", MachineOptions(encoder_lines=500, linear_sensor=False))
+    assert [(s.channel, s.kind) for s in alone.sensors] == [("x_m", "encoder"), ("y_m", "encoder")]
+
+
+def test_a_printer_may_have_accelerometers_only() -> None:
+    sensors = ("acceleration@x", "acceleration@y")
+    machine = new_machine("printer", "mine", MachineOptions(linear_sensor=False, sensor=sensors))
+    assert machine.output_channels == ("x_m_s2", "y_m_s2")
+
+
 def test_options_of_a_motor_with_a_gear_and_of_a_wheel() -> None:
     machine = new_machine("motor", "mine", MachineOptions(mass=(3e-4,), gear_ratio=10.0, rotor_inertia=1e-6))
     assert machine.coordinate("shaft").mass == pytest.approx(4e-4)
@@ -195,10 +247,10 @@ def test_the_drives_of_a_printer_reach_the_corners_of_its_travel_and_those_of_a_
     assert set(rigid_motions(axis)) == {"x"}
 
 
-@pytest.mark.parametrize("name", ["belt-axis", "printer", "motor", "pendulum", "wheel", "servo"])
+@pytest.mark.parametrize("name", ["belt-axis", "xy-table", "printer", "motor", "pendulum", "wheel", "servo"])
 def test_a_preset_reaches_its_goals_with_the_controller_for_its_drives(name: str) -> None:
     controller = "set-point" if name in ("printer", "servo") else "pid"
-    period = 0.01 if name in ("motor", "pendulum", "wheel", "servo") else 0.002  # belts vibrate
+    period = 0.01 if name in ("xy-table", "motor", "pendulum", "wheel", "servo") else 0.002  # belts vibrate
     result = evaluate(controller, name, randomize="none", episodes=8, period=period)
     scores = result.scores["controllers"][controller]
     widest = next(iter(scores["success"]))
@@ -213,7 +265,7 @@ def test_a_preset_reaches_its_goals_with_the_controller_for_its_drives(name: str
         (
             "delta",
             {},
-            "choose one of hframe, corexy, printer, axis, belt-axis, motor, pendulum, wheel, servo",
+            "choose one of hframe, corexy, printer, axis, belt-axis, xy-table, motor, pendulum, wheel, servo",
         ),
         ("corxy", {}, "did you mean 'corexy'?"),
         ("motor", {"travel": (1.0,)}, "--travel: motor has none"),
