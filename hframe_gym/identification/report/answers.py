@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
 
-from ...arrays import Array
 from ...effects.smooth_table import HOOK_OF_KIND
 from ...machine import Machine
 from ...web_page import number
@@ -17,6 +16,7 @@ from ..judge.criteria import SelectionCriteria
 from ..judge.table import is_better_than_table
 from .curves import run_ratio
 from .document import STAGES, Evaluation, Report
+from .result_curves import RunCurves
 from .rows import EffectRow
 from .saved_result import SavedResult
 from .units import percent, readable_unit
@@ -201,7 +201,7 @@ def _worst_run(saved: SavedResult, runs: Sequence[str]) -> list[str]:
         return [f"Nothing was measured in {run}."]
     if not math.isfinite(worst):
         return [f"{run}, in which the simulation diverges."]
-    text = f"{run}: {number(worst)} times the noise{_largest_deviation(report, curves, run)}."
+    text = f"{run}: {number(worst)} times the noise{_largest_deviation(report, curves.runs[run])}."
     others = [ratio for name in runs[1:] if (ratio := ratios[name]) is not None]
     if others:
         best = number(min(others))
@@ -210,9 +210,9 @@ def _worst_run(saved: SavedResult, runs: Sequence[str]) -> list[str]:
     return [text]
 
 
-def _largest_deviation(report: Report, curves: Mapping[str, Array], run: str) -> str:
+def _largest_deviation(report: Report, run: RunCurves) -> str:
     """Return a clause about the largest deviation, of the channel that deviates most in multiples of its noise."""
-    time_s, errors = curves[f"{run}/time_s"], np.abs(np.nan_to_num(curves[f"{run}/after"]))
+    time_s, errors = run.time_s, np.abs(np.nan_to_num(run.errors["after"]))
     sizes = [
         float(errors[:, j].max()) / noise if (noise := report.noise_of(channel)) else 0.0
         for j, channel in enumerate(report.channels)

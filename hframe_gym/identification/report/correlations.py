@@ -6,7 +6,7 @@ correlation with an input that comes before the error shows that the machine res
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,6 +14,7 @@ from scipy import signal
 
 from ...arrays import Array
 from ...web_page import SERIES, Panel, color, legend_above, number
+from .result_curves import ResultCurves
 
 CONFIDENCE = 2.576  # standard deviations of a normal distribution that hold 99 % of the values
 _MAX_LAG_S = 0.2
@@ -82,22 +83,23 @@ class ErrorCorrelations(NamedTuple):
 
 
 def error_correlations(
-    curves: Mapping[str, Array], run: str, channels: Sequence[str], inputs: Sequence[str]
+    curves: ResultCurves, name: str, channels: Sequence[str], inputs: Sequence[str]
 ) -> list[ErrorCorrelations]:
     """Compute the correlations of the errors of the delivered machine in a run.
 
     Args:
-        curves: Curves by name, such as "RUN/after", SI, shape (n, sensors).
-        run: Name of the run.
+        curves: Curves of the result.
+        name: Name of the run.
         channels: Names of the output channels.
         inputs: Names of the input channels.
 
     Returns:
         Correlations of each channel; none for a channel with less than 50 measurements, or if the result has no inputs.
     """
-    if f"{run}/inputs" not in curves:
+    run = curves.runs[name]
+    if run.inputs is None:
         return []
-    errors, commands, time_s = curves[f"{run}/after"], curves[f"{run}/inputs"], curves[f"{run}/time_s"]
+    errors, commands, time_s = run.errors["after"], run.inputs, run.time_s
     period = float(np.median(np.diff(time_s)))
     found = []
     for j, channel in enumerate(channels):
@@ -107,7 +109,7 @@ def error_correlations(
             continue
         lags = min(max(10, round(_MAX_LAG_S / period)), len(error) // 4)
         values = {"itself": correlation(error, error, lags)}
-        values |= {name: correlation(commands[:, k], error, lags) for k, name in enumerate(inputs)}
+        values |= {channel: correlation(commands[:, k], error, lags) for k, channel in enumerate(inputs)}
         lag_s = period * np.arange(lags + 1, dtype=np.float64)
-        found.append(ErrorCorrelations(run, channel, lag_s, values, CONFIDENCE / float(np.sqrt(measured))))
+        found.append(ErrorCorrelations(name, channel, lag_s, values, CONFIDENCE / float(np.sqrt(measured))))
     return found

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import base64
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from ...arrays import Array
 from ...web_page import extreme_rows, number
 from .document import Report, compared_machines
+from .result_curves import ResultCurves, RunCurves
 from .units import readable_unit
 
 _COLORS = {"declared": "declared", "plain": "series3", "before": "before", "after": "after"}
@@ -27,15 +28,15 @@ _FAR = 3.0  # Error relative to that of the refitted machine above which a curve
 _KEPT_PER_BUCKET = 5  # first row, smallest and largest error of two machines
 
 
-def _drawn_machines(report: Report, curves: Mapping[str, Array]) -> dict[str, str]:
+def _drawn_machines(report: Report, curves: ResultCurves) -> dict[str, str]:
     """Return the machines whose simulations are drawn, with their labels: those whose curves are known."""
-    run = report.runs.held_out[0]
-    return {key: label for key, label in compared_machines(report).items() if f"{run}/{key}" in curves}
+    known = curves.runs[report.runs.held_out[0]].errors
+    return {key: label for key, label in compared_machines(report).items() if key in known}
 
 
 def run_ratio(
     report: Report,
-    curves: Mapping[str, Array],
+    curves: ResultCurves,
     run: str,
     stage: str = "after",
 ) -> float | None:
@@ -43,14 +44,14 @@ def run_ratio(
 
     Args:
         report: Content of report.json.
-        curves: Curves by name, SI, shape (n,) or (n, sensors); see `plot_data`.
+        curves: Curves of the result.
         run: Name of the run.
         stage: Machine: "declared", "before", "after" or "plain".
 
     Returns:
         The ratio, dimensionless; infinite if the simulation diverges on the run, None if nothing was measured.
     """
-    measured, errors = curves[f"{run}/measured"], curves[f"{run}/{stage}"]
+    measured, errors = curves.runs[run].measured, curves.runs[run].errors[stage]
     squares = []
     for j, channel in enumerate(report.channels):
         error = errors[:, j][np.isfinite(errors[:, j])]
@@ -63,18 +64,18 @@ def run_ratio(
     return math.sqrt(sum(squares) / len(squares)) if squares else None
 
 
-def worst_first(report: Report, curves: Mapping[str, Array]) -> list[str]:
+def worst_first(report: Report, curves: ResultCurves) -> list[str]:
     """Return the names of the held-out runs by decreasing error of the delivered machine.
 
     Args:
         report: Content of report.json.
-        curves: Curves by name, SI, shape (n,) or (n, sensors); see `plot_data`.
+        curves: Curves of the result.
     """
     ratios = {run: run_ratio(report, curves, run) for run in report.runs.held_out}
     return sorted(ratios, key=lambda run: -(ratios[run] or 0.0))
 
 
-def page_curves(report: Report, curves: Mapping[str, Array]) -> dict[str, Any]:
+def page_curves(report: Report, curves: ResultCurves) -> dict[str, Any]:
     """Return what the script of the page draws, as content of a JSON document.
 
     Every run and channel has one set of rows for all its curves: the first of each interval of time, and those with the
@@ -83,7 +84,7 @@ def page_curves(report: Report, curves: Mapping[str, Array]) -> dict[str, Any]:
 
     Args:
         report: Content of report.json.
-        curves: Curves by name, SI, shape (n,) or (n, sensors); see `plot_data`.
+        curves: Curves of the result.
 
     Returns:
         "machines": "key", "label" and "color" of each machine, and whether it is "shown" at first. "runs": worst first,
@@ -107,9 +108,9 @@ def page_curves(report: Report, curves: Mapping[str, Array]) -> dict[str, Any]:
                 "name": run,
                 "label": _run_label(run_ratio(report, curves, run), run),
                 "channels": [
-                    _channel_curves(report, curves, run, channel, j, list(machines), far, rows)
+                    _channel_curves(report, curves.runs[run], channel, j, list(machines), far, rows)
                     for j, channel in enumerate(report.channels)
-                    if np.isfinite(curves[f"{run}/measured"][:, j]).any()
+                    if np.isfinite(curves.runs[run].measured[:, j]).any()
                 ],
             }
             for run in runs
@@ -117,7 +118,7 @@ def page_curves(report: Report, curves: Mapping[str, Array]) -> dict[str, Any]:
     }
 
 
-def _far(report: Report, curves: Mapping[str, Array], run: str) -> set[str]:
+def _far(report: Report, curves: ResultCurves, run: str) -> set[str]:
     """Return the machines beside whose errors on a run, the worst one, those of the others would look like zero."""
     ratios = {key: run_ratio(report, curves, run, key) for key in _drawn_machines(report, curves)}
     limit = _FAR * (ratios["before"] or math.inf)
@@ -133,8 +134,7 @@ def _run_label(ratio: float | None, run: str) -> str:
 
 def _channel_curves(
     report: Report,
-    curves: Mapping[str, Array],
-    run: str,
+    run: RunCurves,
     channel: str,
     j: int,
     machines: Sequence[str],
@@ -142,8 +142,8 @@ def _channel_curves(
     max_rows: int,
 ) -> dict[str, Any]:
     """Return the curves of one channel of a run, with the unit of the errors that are shown at first."""
-    time_s, measured = curves[f"{run}/time_s"], curves[f"{run}/measured"][:, j]
-    errors = {key: curves[f"{run}/{key}"][:, j] for key in machines}
+    time_s, measured = run.time_s, run.measured[:, j]
+    errors = {key: run.errors[key][:, j] for key in machines}
     rows = _kept_rows([errors[key] for key in ("before", "after") if key in errors], max_rows)
     factor, unit = readable_unit(channel, float(np.nanmax(np.abs(measured), initial=0.0)))
     largest = max(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from ...arrays import Array
 from ...effects.smooth_table import TABLE_FAMILY
 from ...machine import AppliedEffect, Coordinate, Machine, argument_names, standard_deviations
 from ...web_page import Panel, color, number
+from .result_curves import ResultCurves
 
 _POINTS = 400
 _BAND = 2.0  # standard deviations
@@ -65,7 +66,7 @@ class EffectCurve:
         return Panel(f"{name}; {band}", description, draw, 2.5)
 
 
-def effect_curve(effect: AppliedEffect, machine: Machine, curves: Mapping[str, Array]) -> EffectCurve | None:
+def effect_curve(effect: AppliedEffect, machine: Machine, curves: ResultCurves) -> EffectCurve | None:
     """Compute the curve of an effect over its own variable, in the range of the fitted runs.
 
     Drawn are the dry friction of a coordinate with the effect's change of it, the force of the effect, or its change of
@@ -74,7 +75,7 @@ def effect_curve(effect: AppliedEffect, machine: Machine, curves: Mapping[str, A
     Args:
         effect: Effect of the identified machine.
         machine: The machine, with its uncertainty where it is known.
-        curves: Curves of the result by name, such as "coverage/velocity of x", SI, shape (m,).
+        curves: Curves of the result.
 
     Returns:
         The curve with n values each, shape (n,). None if the effect is no function of one variable (it has a state or
@@ -124,7 +125,7 @@ def _axis(
     effect: AppliedEffect,
     machine: Machine,
     coordinate: Coordinate | None,
-    curves: Mapping[str, Array],
+    curves: ResultCurves,
 ) -> tuple[Array, str] | None:
     """Return the values of a variable at which an effect is drawn, and the name of the variable with its unit."""
     if symbol == "V":
@@ -136,29 +137,27 @@ def _axis(
     return (_velocity_axis if symbol == "v" else _position_axis)(effect, coordinate, curves)
 
 
-def _command_axis(
-    effect: AppliedEffect, machine: Machine, curves: Mapping[str, Array]
-) -> tuple[Array, str] | None:
+def _command_axis(effect: AppliedEffect, machine: Machine, curves: ResultCurves) -> tuple[Array, str] | None:
     """Return commands up to the largest one of the fitted runs."""
     drives = [drive for drive in machine.drives if effect.site in (drive.name, "drives")]
     if not drives:
         return None
-    channels = [f"coverage/{drive.channel}" for drive in drives]
-    top = max((float(np.abs(curves[name]).max()) for name in channels if name in curves), default=0.0)
+    seen = [curves.coverage[drive.channel] for drive in drives if drive.channel in curves.coverage]
+    top = max((float(np.abs(values).max()) for values in seen), default=0.0)
     return _symmetric(top, f"command of {effect.site}, {machine.command_unit(drives[0])}")
 
 
-def _time_axis(curves: Mapping[str, Array]) -> tuple[Array, str] | None:
+def _time_axis(curves: ResultCurves) -> tuple[Array, str] | None:
     """Return times up to the end of the longest run."""
-    ends = [values[-1] for name, values in curves.items() if name.endswith("/time_s") and len(values)]
+    ends = [run.time_s[-1] for run in curves.runs.values() if len(run.time_s)]
     return (np.linspace(0.0, max(ends), _POINTS), "time, s") if ends and max(ends) > 0.0 else None
 
 
 def _velocity_axis(
-    effect: AppliedEffect, coordinate: Coordinate, curves: Mapping[str, Array]
+    effect: AppliedEffect, coordinate: Coordinate, curves: ResultCurves
 ) -> tuple[Array, str] | None:
     """Return velocities up to that of the fitted runs, or to where a speed that a parameter states is small."""
-    seen = curves.get(f"coverage/velocity of {coordinate.name}")
+    seen = curves.coverage.get(f"velocity of {coordinate.name}")
     top = math.inf if seen is None else float(np.abs(seen).max())
     speeds = [abs(effect.parameters[p.name]) for p in effect.definition.parameters if p.unit == "speed"]
     top = min(top, _SPEEDS * max(speeds)) if speeds else top
@@ -166,10 +165,10 @@ def _velocity_axis(
 
 
 def _position_axis(
-    effect: AppliedEffect, coordinate: Coordinate, curves: Mapping[str, Array]
+    effect: AppliedEffect, coordinate: Coordinate, curves: ResultCurves
 ) -> tuple[Array, str] | None:
     """Return the positions of the fitted runs, one turn where these are not known, or some periods of the effect."""
-    seen = curves.get(f"coverage/position of {coordinate.name}")
+    seen = curves.coverage.get(f"position of {coordinate.name}")
     if seen is None and coordinate.kind != "rotary":
         return None
     low, high = (0.0, 2.0 * math.pi) if seen is None else (float(seen.min()), float(seen.max()))

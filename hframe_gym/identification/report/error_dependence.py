@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ from ...recordings import split_unit
 from ...web_page import Panel, color, number
 from .correlations import CONFIDENCE
 from .document import Report
+from .result_curves import ResultCurves
 from .units import readable_unit
 
 _BINS = 40  # intervals of position or speed, of equal width
@@ -22,14 +22,14 @@ _MIN_ROWS = 20  # of an interval, so that its mean has a normal distribution wha
 _SMOOTHED_S = 0.02
 
 
-def error_panels(report: Report, curves: Mapping[str, Array], machine: Machine) -> list[Panel]:
+def error_panels(report: Report, curves: ResultCurves, machine: Machine) -> list[Panel]:
     """Prepare a plot of the error of each channel over its own value, and of a position also over its speed.
 
     Position and speed are measured, so that they do not depend on the machine that is judged. All held-out runs count.
 
     Args:
         report: Content of report.json.
-        curves: Curves by name, SI, shape (n,) or (n, sensors); see `plot_data`.
+        curves: Curves of the result.
         machine: Identified machine.
 
     Returns:
@@ -38,10 +38,8 @@ def error_panels(report: Report, curves: Mapping[str, Array], machine: Machine) 
     panels = []
     of_position = {sensor.channel: sensor.of_position for sensor in machine.sensors}
     for j, channel in enumerate(report.channels):
-        runs = [
-            (curves[f"{run}/time_s"], curves[f"{run}/measured"][:, j], curves[f"{run}/after"][:, j])
-            for run in report.runs.held_out
-        ]
+        held_out = [curves.runs[name] for name in report.runs.held_out]
+        runs = [(run.time_s, run.measured[:, j], run.errors["after"][:, j]) for run in held_out]
         errors = np.concatenate([error for _, _, error in runs])
         values = {"": np.concatenate([measured for _, measured, _ in runs])}
         if of_position[channel]:

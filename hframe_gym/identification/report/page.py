@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ...arrays import Array
 from ...errors import InputError
 from ...files import output_batch
 from ...web_page import number, write_page
@@ -18,6 +16,7 @@ from .curves import page_curves, worst_first
 from .document import ChannelErrors, Report, compared_machines
 from .instructions import next_steps
 from .plots import report_panels, save_plots, slow_fractions
+from .result_curves import ResultCurves
 from .rows import correlation_rows, effect_rows, inseparable_rows, parameter_rows
 from .saved_result import load_result
 from .units import percent, readable_unit
@@ -82,7 +81,7 @@ def build_report(folder: Path, final_folder: Path | None = None) -> Path:
             for run in runs
         ],
         "steps": steps,
-        "slow": slow_fractions(curves),
+        "slow": slow_fractions(curves.coverage),
         "panels": panels,
     }
     try:
@@ -166,12 +165,12 @@ def _plain_sentence(report: Report) -> str:
     return f"The plain fit has inertia and friction from the recordings alone{beside}, and no effects.{delivered}"
 
 
-def _run_row(report: Report, curves: Mapping[str, Array], run: str) -> dict[str, Any]:
+def _run_row(report: Report, curves: ResultCurves, run: str) -> dict[str, Any]:
     """Return the errors of one held-out run before and after, by channel in units of the noise."""
 
     def ratio(stage: str, j: int) -> str:
         noise = report.noise_of(report.channels[j])
-        residual = curves[f"{run}/{stage}"][:, j]
+        residual = curves.runs[run].errors[stage][:, j]
         residual = residual[np.isfinite(residual)]
         if noise is None or len(residual) == 0:
             return ""

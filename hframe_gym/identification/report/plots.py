@@ -17,6 +17,7 @@ from .correlations import error_correlations
 from .document import Report, compared_machines
 from .effect_curves import effect_curve
 from .error_dependence import error_panels
+from .result_curves import MissingForce, ResultCurves, RunCurves
 from .units import readable_unit
 
 Panels = dict[str, list[Panel]]
@@ -39,7 +40,7 @@ _QUANTITIES = {  # of a variable: quantity of the coordinate, and what follows i
 
 def report_panels(
     report: Report,
-    curves: Mapping[str, Array],
+    curves: ResultCurves,
     machine: Machine,
     declared: Machine,
     runs: Sequence[str] = (),
@@ -51,7 +52,7 @@ def report_panels(
 
     Args:
         report: Content of report.json.
-        curves: Curves by name, such as "force/after", SI, shape (m,) or (n, sensors); `plot_data` lists all.
+        curves: Curves of the result.
         machine: Identified machine.
         declared: Machine as given. Effects that only the identified machine has are drawn, named as causes or not.
         runs: Names of the held-out runs, those first whose errors are drawn over time. Default: as in the report.
@@ -69,12 +70,14 @@ def report_panels(
     return {
         "error_by_channel": [_error_by_channel(report)],
         "error_over_time": [
-            _error_over_time(curves, run, channel, j, _compared_stages(report))
+            _error_over_time(curves.runs[run], run, channel, j, _compared_stages(report))
             for run in list(runs or report.runs.held_out)[:_MAX_RUNS]
             for j, channel in enumerate(report.channels)
-            if np.isfinite(curves[f"{run}/measured"][:, j]).any()
+            if np.isfinite(curves.runs[run].measured[:, j]).any()
         ],
-        "residual_force": [_residual_force(report, curves, machine)] if "force/variable" in curves else [],
+        "residual_force": [_residual_force(report, force, machine)]
+        if (force := curves.missing_force)
+        else [],
         "error_over_motion": error_panels(report, curves, machine),
         "correlations": [
             correlations.panel()
@@ -83,9 +86,7 @@ def report_panels(
         "effects": [curve.panel() for curve in effect_curves if curve],
         "tables": [_table(e, machine) for e in added if e.definition.family == TABLE_FAMILY],
         "coverage": [
-            _coverage(_with_unit(name.removeprefix("coverage/"), machine), values)
-            for name, values in curves.items()
-            if name.startswith("coverage/")
+            _coverage(_with_unit(name, machine), values) for name, values in curves.coverage.items()
         ],
     }
 
@@ -167,12 +168,10 @@ def _compared_stages(report: Report) -> dict[str, str]:
     return {key: labels[key] for key in ("before", "after") if key in labels}
 
 
-def _error_over_time(
-    curves: Mapping[str, Array], run: str, channel: str, j: int, stages: dict[str, str]
-) -> Panel:
+def _error_over_time(run: RunCurves, name: str, channel: str, j: int, stages: dict[str, str]) -> Panel:
     """Draw the errors of a channel, for each machine, over the time of a held-out run."""
-    time_s = curves[f"{run}/time_s"] - curves[f"{run}/time_s"][0]
-    errors = {stage: curves[f"{run}/{stage}"][:, j] for stage in stages}
+    time_s = run.time_s - run.time_s[0]
+    errors = {stage: run.errors[stage][:, j] for stage in stages}
     largest = {stage: float(np.nanmax(np.abs(e), initial=0.0)) for stage, e in errors.items()}
     factor, unit = readable_unit(channel, max(largest.values()))
 
@@ -184,8 +183,8 @@ def _error_over_time(
         legend_above(axes)
 
     sizes = ", ".join(f"{number(factor * value)} {unit} {stages[stage]}" for stage, value in largest.items())
-    description = f"Error of {channel} over the time of {run}. Largest error: {sizes}."
-    return Panel(f"{run}: {channel}", description, draw)
+    description = f"Error of {channel} over the time of {name}. Largest error: {sizes}."
+    return Panel(f"{name}: {channel}", description, draw)
 
 
 def _envelope(time_s: Array, values: Array) -> tuple[Array, Array]:
@@ -198,14 +197,14 @@ def _envelope(time_s: Array, values: Array) -> tuple[Array, Array]:
     return time_s[rows], values[rows]
 
 
-def _residual_force(report: Report, curves: Mapping[str, Array], machine: Machine) -> Panel:
+def _residual_force(report: Report, missing: MissingForce, machine: Machine) -> Panel:
     """Draw the residual force before and after against the variable that it depends on most."""
     strongest = report.residual.depends_on[0]
-    variable = curves["force/variable"]
+    variable = missing.variable
     coordinate, label = strongest.coordinate, _with_unit(strongest.variable, machine)
     unit = machine.coordinate(coordinate).unit("force")
     stages = _compared_stages(report)
-    forces = {stage: curves[f"force/{stage}"] for stage in stages}
+    forces = {stage: missing.by_machine[stage] for stage in stages}
     size = float(np.percentile(np.abs(forces["before"]), 99.5)) or 1.0
     if size < 0.1:
         forces, size, unit = {stage: 1e3 * force for stage, force in forces.items()}, 1e3 * size, f"m{unit}"
@@ -283,22 +282,22 @@ def _coverage(label: str, values: Array) -> Panel:
     return Panel(label, description, draw, 1.7)
 
 
-def slow_fractions(curves: Mapping[str, Array]) -> dict[str, str]:
+def slow_fractions(coverage: Mapping[str, Array]) -> dict[str, str]:
     """Compute the fraction of its moving time that each coordinate spends below 5 % of its top speed.
 
     The report states it because only motion at low speed shows how friction depends on low speeds. The top speed is the
     99th percentile of the speed. A coordinate moves while its speed is above 0.1 % of the top speed.
 
     Args:
-        curves: Curves by name. Those named "coverage/velocity of C" are velocities of the coordinate C, m/s or rad/s,
-            shape (m,); all others are ignored.
+        coverage: Where the runs have been by name, shape (m,). Those named "velocity of C" are velocities of the
+            coordinate C, m/s or rad/s; all others are ignored.
 
     Returns:
         Fraction as text, such as "23 %", by name of each coordinate that moves.
     """
     fractions = {}
-    for name, velocity in curves.items():
-        _, is_velocity, coordinate = name.partition("coverage/velocity of ")
+    for name, velocity in coverage.items():
+        _, is_velocity, coordinate = name.partition("velocity of ")
         if not is_velocity:
             continue
         top = float(np.percentile(np.abs(velocity), 99))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from ...operating_system import quoted
 from ...recordings import load_machine
 from .document import STAGES, ChannelErrors, Report
 from .formulas import ProposedFormula, mean_error, propose_formulas, tables_of
+from .result_curves import ResultCurves
 
 
 @dataclass(frozen=True)
@@ -31,13 +33,13 @@ class SavedResult:
         report: Content of report.json.
         machine: Identified machine with the selected effects.
         declared: Machine as declared.
-        curves: Curves of the plots by name, such as "RUN/measured", SI; `plot_data` lists them.
+        curves: Curves of the plots.
     """
 
     report: Report
     machine: Machine
     declared: Machine
-    curves: dict[str, Array]
+    curves: ResultCurves
 
 
 def load_result(folder: Path) -> SavedResult:
@@ -47,8 +49,7 @@ def load_result(folder: Path) -> SavedResult:
         folder: Folder that `write_result` wrote.
 
     Returns:
-        Report, machines and curves of the plots (arrays by name such as "RUN/measured", SI, shape (m,) or
-        (n, sensors)).
+        Report, machines and curves of the plots.
 
     Raises:
         InputError: If a file is missing, damaged or inconsistent with another file; the message names the file.
@@ -63,10 +64,10 @@ def load_result(folder: Path) -> SavedResult:
         machine, declared = (
             load_machine(newest(folder / name)) for name in ("machine.json", "declared.json")
         )
-    saved = SavedResult(report, machine, declared, _load_curves(folder / "evidence.npz"))
-    _check_report(saved, folder / "report.json")
-    _check_curves(saved, folder / "evidence.npz")
-    return saved
+    arrays = _load_arrays(folder / "evidence.npz")
+    _check_report(report, machine, declared, folder / "report.json")
+    _check_arrays(arrays, report, machine, folder / "evidence.npz")
+    return SavedResult(report, machine, declared, ResultCurves.from_arrays(arrays, report.runs.held_out))
 
 
 def read_report(folder: Path) -> Report:
@@ -139,47 +140,47 @@ def _damaged(path: Path, problem: str) -> InputError:
     return InputError(f"{path}: {problem}; run `hframe identify` again to write the folder anew")
 
 
-def _load_curves(path: Path) -> dict[str, Array]:
+def _load_arrays(path: Path) -> dict[str, Array]:
     """Read evidence.npz."""
     source = newest(path)
     if not source.is_file():
         raise _damaged(path, "is missing")
     try:
-        curves = read_arrays(source)
+        arrays = read_arrays(source)
     except InputError as error:
         raise _damaged(path, str(error).removeprefix(f"{source}: ")) from None
-    for name, values in curves.items():
+    for name, values in arrays.items():
         if not np.issubdtype(values.dtype, np.floating):
             raise _damaged(path, f"{name} holds {values.dtype}, not floating-point numbers")
-    return curves
+    return arrays
 
 
-def _check_report(saved: SavedResult, path: Path) -> None:
+def _check_report(report: Report, machine: Machine, declared: Machine, path: Path) -> None:
     """Raise InputError if report.json does not fit the machines."""
-    machine, channels = saved.machine, saved.machine.output_channels
-    if saved.declared.output_channels != channels:
+    channels = machine.output_channels
+    if declared.output_channels != channels:
         raise _damaged(path.with_name("declared.json"), "has other sensors than machine.json")
-    for stage, evaluation in saved.report.machines.items():
+    for stage, evaluation in report.machines.items():
         for channel in channels:
             if channel not in evaluation.channels:
                 raise _damaged(path, f"{stage}.held_out has no errors of {channel}")
         has_force = "force_error" in evaluation.held_out
-        if stage in STAGES and has_force != ("force_error" in saved.report.after.held_out):
+        if stage in STAGES and has_force != ("force_error" in report.after.held_out):
             raise _damaged(path, "force_error is given for some of declared, before and after only")
         if has_force and evaluation.force_error is None:
             raise _damaged(path, f"{stage}.held_out.force_error is not a number")
-    if saved.report.channels != list(channels):
+    if report.channels != list(channels):
         raise _damaged(path, "declared.held_out has other channels than machine.json, or in another order")
     labels = {e.label for e in machine.effects}
-    for effect in saved.report.effects:
+    for effect in report.effects:
         if f"{effect.name}@{effect.site}" not in labels:
             raise _damaged(path, f"effect {effect.name} at {effect.site} is not in machine.json")
-    for table in saved.report.proposed_formulas:
+    for table in report.proposed_formulas:
         if table.table not in labels:
             raise _damaged(path, f"proposed_formulas: {table.table} is not in machine.json")
     drives = (drive.name for drive in machine.drives)
     known = {*machine.coordinate_names, *drives, *machine.output_channels, "drives", "belts"}
-    for dependence in saved.report.residual.depends_on:
+    for dependence in report.residual.depends_on:
         coordinate = dependence.coordinate
         names = {coordinate, dependence.variable.partition(" of ")[2] or coordinate}
         if not names <= known or coordinate not in machine.coordinate_names:
@@ -188,37 +189,37 @@ def _check_report(saved: SavedResult, path: Path) -> None:
             )
 
 
-def _check_curves(saved: SavedResult, path: Path) -> None:
-    """Raise InputError if the curves do not fit report.json and the machine."""
-    curves, channels = saved.curves, len(saved.machine.output_channels)
+def _check_arrays(arrays: Mapping[str, Array], report: Report, machine: Machine, path: Path) -> None:
+    """Raise InputError if the arrays of evidence.npz do not fit report.json and the machine."""
+    channels = len(machine.output_channels)
     needed: dict[str, int] = {}  # dimensions by name
-    for run in saved.report.runs.held_out:
+    for run in report.runs.held_out:
         needed |= {f"{run}/time_s": 1}
         needed |= {f"{run}/{name}": 2 for name in ("measured", *STAGES)}
-        if f"{run}/plain" in curves:  # results of older versions have none
+        if f"{run}/plain" in arrays:  # results of older versions have none
             needed |= {f"{run}/plain": 2}
-    if "force/variable" in curves:
+    if "force/variable" in arrays:
         needed |= {"force/variable": 1, "force/before": 1, "force/after": 1}
-        if not saved.report.residual.depends_on:
+        if not report.residual.depends_on:
             raise _damaged(path, "has a residual force, for which report.json has no variable")
-    needed |= {name: 1 for name in curves if name.startswith("coverage/")}
+    needed |= {name: 1 for name in arrays if name.startswith("coverage/")}
     for name, dimensions in needed.items():
-        if name not in curves:
+        if name not in arrays:
             raise _damaged(path, f"has no array {name}")
-        values = curves[name]
-        rows = len(curves[f"{name.rpartition('/')[0]}/time_s"]) if dimensions == 2 else None
+        values = arrays[name]
+        rows = len(arrays[f"{name.rpartition('/')[0]}/time_s"]) if dimensions == 2 else None
         if values.ndim != dimensions or not len(values) or (rows and values.shape != (rows, channels)):
             raise _damaged(path, f"array {name} has the shape {values.shape}")
         if dimensions == 1 and not np.isfinite(values).all():
             raise _damaged(path, f"array {name} has values that are not finite")
-        if name.startswith("force/") and len(values) != len(curves["force/variable"]):
+        if name.startswith("force/") and len(values) != len(arrays["force/variable"]):
             raise _damaged(path, f"array {name} has another length than force/variable")
         coordinate = name.partition(" of ")[2]
-        if name.startswith("coverage/") and coordinate and coordinate not in saved.machine.coordinate_names:
+        if name.startswith("coverage/") and coordinate and coordinate not in machine.coordinate_names:
             raise _damaged(path, f"array {name}: machine.json has no coordinate {coordinate}")
-    for run in saved.report.runs.held_out:
-        inputs = curves.get(f"{run}/inputs")  # results of older versions have none
-        shape = (len(curves[f"{run}/time_s"]), len(saved.machine.input_channels))
+    for run in report.runs.held_out:
+        inputs = arrays.get(f"{run}/inputs")  # results of older versions have none
+        shape = (len(arrays[f"{run}/time_s"]), len(machine.input_channels))
         if inputs is not None and inputs.shape != shape:
             raise _damaged(path, f"array {run}/inputs has the shape {inputs.shape}")
 

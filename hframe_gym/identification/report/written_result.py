@@ -33,7 +33,7 @@ def write_result(
     """Write the result of an identification to a folder; `build_report` then adds the plots and report.html.
 
     The files are report.json; declared.json, before.json and machine.json (the machine as declared, refitted, and with
-    effects); plain.json (that of the plain fit); evidence.npz (`plot_data`); next_experiment.csv, if a run is
+    effects); plain.json (that of the plain fit); evidence.npz (`ResultCurves`); next_experiment.csv, if a run is
     proposed. They appear together or not at all.
 
     Args:
@@ -51,7 +51,7 @@ def write_result(
         InputError: If another process writes to the folder.
         OSError: If a file cannot be written.
     """
-    arrays: dict[str, Any] = {name: _stored(name, values) for name, values in plot_data(result).items()}
+    arrays: dict[str, Any] = {name: _stored(name, a) for name, a in plot_data(result).as_arrays().items()}
     additions = {
         "warnings": [*result.notes, *warnings],
         "proposed_formulas": [comparison.as_entry() for comparison in formulas],

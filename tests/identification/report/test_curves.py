@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import dataclasses
 import json
 
 import numpy as np
@@ -15,6 +16,7 @@ from hframe_gym.identification.report.document import Plain
 from hframe_gym.identification.report.effect_curves import effect_curve
 from hframe_gym.identification.report.plot_data import plot_data
 from hframe_gym.identification.report.plots import report_panels
+from hframe_gym.identification.report.result_curves import ResultCurves, RunCurves
 from hframe_gym.machine import BUILTIN_MACHINES, Uncertainty
 from tests.identification.report.axis_results import STRIBECK, TABLE, result_of
 from tests.identification.single_axis import AXIS, PRESLIDING
@@ -26,18 +28,17 @@ def test_curves_of_the_page_are_those_of_the_machines_worst_run_first(data: Data
     noise = report.noise_of("x_m")
     assert noise is not None
     for name, factor in (("run_8", 1.0), ("run_9", 3.0)):  # two more runs, the second of which is the worst
-        curves |= {
-            f"{name}/{key}": curves[f"run_2/{key}"] for key in ("time_s", "measured", "declared", "before")
-        }
-        curves[f"{name}/after"] = factor * noise * np.ones((500, 1))
+        run = curves.runs["run_2"]
+        errors = run.errors | {"after": factor * noise * np.ones((500, 1))}
+        curves.runs[name] = dataclasses.replace(run, errors=errors)
     report.runs.held_out = ["run_8", "run_9"]
     drawn = page_curves(report, curves)
     assert [run["label"] for run in drawn["runs"]] == ["run_9: 3 × noise", "run_8: 1 × noise"]
     assert [machine["key"] for machine in drawn["machines"]] == ["declared", "before", "after"]
     (channel,) = drawn["runs"][0]["channels"]
     error = np.frombuffer(base64.b64decode(channel["errors"]["before"]), "<f4")
-    assert error == pytest.approx(curves["run_9/before"][:, 0], rel=1e-6)
-    curves["run_8/after"] = np.full((500, 1), np.nan)  # diverges
+    assert error == pytest.approx(curves.runs["run_9"].errors["before"][:, 0], rel=1e-6)
+    curves.runs["run_8"].errors["after"] = np.full((500, 1), np.nan)  # diverges
     assert worst_first(report, curves) == ["run_8", "run_9"]
 
 
@@ -48,8 +49,8 @@ def test_a_long_curve_keeps_its_peaks_and_the_page_stays_small(data: Dataset) ->
     time_s = 1e6 + 1e-3 * np.arange(100_000)
     errors = 1e-5 * np.sin(time_s)[:, None]
     errors[54_321] = 7e-3
-    values = dict.fromkeys(("measured", "declared", "before", "after", "plain"), errors) | {"time_s": time_s}
-    curves = {f"{run}/{key}": value for run in report.runs.held_out for key, value in values.items()}
+    run = RunCurves(time_s, errors, dict.fromkeys(("declared", "before", "after", "plain"), errors))
+    curves = ResultCurves(dict.fromkeys(report.runs.held_out, run), None, {})
     drawn = page_curves(report, curves)
     assert [machine["label"] for machine in drawn["machines"]] == [
         "as declared",
@@ -76,7 +77,7 @@ def test_an_effect_is_drawn_with_the_band_of_its_parameters(data: Dataset) -> No
     curve = effect_curve(machine.effects[0], machine, curves)
     assert curve is not None
     assert (curve.variable, curve.quantity) == ("velocity of x, m/s", "dry friction on x, N")
-    assert curve.x.max() == pytest.approx(min(8 * 0.02, np.abs(curves["coverage/velocity of x"]).max()))
+    assert curve.x.max() == pytest.approx(min(8 * 0.02, np.abs(curves.coverage["velocity of x"]).max()))
     shape = np.exp(-((curve.x / 0.02) ** 2))
     assert curve.y == pytest.approx(np.sign(curve.x) * (level + 0.8 * shape))
     by_width = 0.8 * shape * 2 * curve.x**2 / 0.02**3

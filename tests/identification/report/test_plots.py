@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 
 import numpy as np
@@ -20,7 +21,8 @@ def test_a_channel_that_was_not_measured_has_no_plot_over_time(data: Dataset) ->
     result = result_of(data, "no_effect", AXIS)
     curves = plot_data(result)
     assert len(report_panels(result.as_report(), curves, AXIS, AXIS)["error_over_time"]) == 1
-    curves |= {"run_2/measured": np.full_like(curves["run_2/measured"], np.nan)}
+    run = curves.runs["run_2"]
+    curves.runs["run_2"] = dataclasses.replace(run, measured=np.full_like(run.measured, np.nan))
     assert report_panels(result.as_report(), curves, AXIS, AXIS)["error_over_time"] == []
 
 
@@ -30,10 +32,10 @@ def test_errors_over_position_and_speed_lie_in_the_region_of_white_noise_only_if
     result = result_of(data, "effect_found", STRIBECK)
     report, curves = result.as_report(), plot_data(result)
     noise, rng = data.noise[0], np.random.default_rng(0)
-    measured = curves["run_2/measured"][:, 0]
+    measured = curves.runs["run_2"].measured[:, 0]
     fractions = []
     for part in (0.0, 20.0):
-        curves["run_2/after"] = (
+        curves.runs["run_2"].errors["after"] = (
             noise * rng.normal(size=len(measured)) + part * noise * measured / measured.max()
         )[:, None]
         over_position, over_speed = error_panels(report, curves, AXIS)
