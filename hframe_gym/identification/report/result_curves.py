@@ -58,7 +58,7 @@ class ResultCurves:
     coverage: dict[str, Array]
 
     def as_arrays(self) -> dict[str, Array]:
-        """Return the arrays by name as evidence.npz holds them.
+        """Return the arrays by name as evidence.npz holds them, SI, shape (n,), (n, sensors), (n, drives) or (m,).
 
         They are RUN/time_s, RUN/measured, RUN/inputs and RUN/MACHINE of each held-out run; force/variable and
         force/MACHINE of the missing force; and coverage/NAME.
