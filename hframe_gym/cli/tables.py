@@ -53,13 +53,14 @@ def identification_table(report: Report) -> Table:
         drives' force divided by the root mean square of this force, %. Below the table: the force that the machines
         lack.
     """
+    from ..identification.report.answers import missing_forces
+
     title = "simulation error on held-out recordings: rms, x: multiple of the sensor noise, % of the motion"
     machines = report.machines
-    lacking = [evaluation.missing_force_percent for key, evaluation in machines.items() if key != "plain"]
-    forces = ", ".join("unknown" if force is None else f"{number(force)} %" for force in lacking)
-    caption = (
-        None if lacking == [None] * 3 else f"missing force (below 10 Hz), of that of the drives: {forces}"
-    )
+    forces = missing_forces([evaluation for key, evaluation in machines.items() if key != "plain"])
+    of_drives = ", of that of the drives" * any(force.endswith("%") for force in forces)
+    listed = ", ".join(force or "unknown" for force in forces)
+    caption = f"missing force (below 10 Hz){of_drives}: {listed}" if any(forces) else None
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
     table.caption, table.caption_justify = caption, "left"
     table.add_column("channel", overflow="fold")

@@ -40,6 +40,7 @@ _BY_INSTRUMENTS = (
     "those of this fit, or lie between them and those of a fit to the residual that the statistics of the {0} make "
     "white, whichever simulate runs to which they were not fitted best."
 )
+_WHOLE = 100.0  # percent; a larger force is no part of another one.
 _CHANGED_STDS = 3.0  # Standard deviations beyond which a parameter differs from its declared value.
 _NAMED_CHANGES = 3  # Parameters that are named, those first that changed most.
 
@@ -373,15 +374,29 @@ def _left_parts(report: Report) -> list[str]:
     """Return the error that is left: the largest one in mm, all in multiples of the noise, of the motion, the force."""
     if report.left is None:
         return []
-    motions, force = report.after.percents_of_motion, report.after.missing_force_percent
+    motions, (force,) = report.after.percents_of_motion, missing_forces([report.after])
     left = f"{number(report.left)} times the sensors' noise"
     of_all = f"; over all channels {left}" if len(report.after.channels) > 1 else f", {left}"
     parts = [largest_position_error(report.after) + of_all]
     if motions:
         parts.append(f"{number(max(motions))} % of the motion of the channel where that is most")
-    if force:
-        parts.append(f"a missing force of {number(force)} % of that of the drives")
+    if force and not force.startswith("0 "):
+        parts.append(f"a missing force of {force}{' of that of the drives' * force.endswith('%')}")
     return parts
+
+
+def missing_forces(evaluations: Sequence[Evaluation]) -> list[str]:
+    """Return the forces that machines lack, with their unit, "" where none is known.
+
+    They are given in percent of the drives' force. If one is larger than that, the drives hardly acted, and all are
+    given in N or Nm; so they are where the commands of the drives tell no force.
+    """
+    parts = [evaluation.missing_force_percent for evaluation in evaluations]
+    forces = [evaluation.missing_force for evaluation in evaluations]
+    known = [part for part in parts if part is not None]
+    if any(forces) and (not known or max(known) > _WHOLE):
+        return ["" if force is None else f"{number(force.value)} {force.unit}" for force in forces]
+    return ["" if part is None else f"{number(part)} %" for part in parts]
 
 
 def _nearest(report: Report) -> list[str]:

@@ -68,11 +68,25 @@ class ChannelErrors(Entry):
     percent_of_motion: FiniteFloat | None = None
 
 
+class Force(Entry):
+    """A force in N, or a torque in Nm on a rotary axis."""
+
+    value: FiniteFloat
+    unit: str
+
+
 class Evaluation(Entry):
-    """Errors of a machine on the held-out runs: by channel, and `force_error` where the machine has one."""
+    """Errors of a machine on the held-out runs: by channel, and `force_error` where the machine has one.
+
+    Attributes:
+        missing_force_percent: Force that the machine lacks, of that of the drives, rms; None if it is not known, or if
+            the commands of the drives tell no force, as set points.
+        missing_force: The same in N or Nm.
+    """
 
     held_out: dict[str, ChannelErrors | FiniteFloat]
     missing_force_percent: FiniteFloat | None = None
+    missing_force: Force | None = None
 
     @property
     def channels(self) -> dict[str, ChannelErrors]:

@@ -7,10 +7,11 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from ...errors import merge_run_warnings
-from ...machine import AppliedEffect
+from ...machine import METERS, AppliedEffect
 from ...preparation.dataset import Dataset
 from ..evidence.tried_effects import SelectedEffect
 from ..fit.channel_errors import errors_by_channel
+from ..fit.force_sizes import drive_force
 from ..fit.inseparable_parameters import inseparable_parameters
 from ..fit.missing_force import Dependence
 from ..fit.parameter_diagnostics import parameters_at_limit, undeclared_friction
@@ -190,7 +191,7 @@ class IdentificationResult:
         declared, before, after = (
             document.Evaluation(
                 held_out=_errors(evaluation.held_out, with_force=with_force),
-                missing_force_percent=_percent(evaluation.held_out.lacking),
+                **_missing_force(evaluation, self.held_out),
             )
             for evaluation in self.evaluations.values()
         )
@@ -210,7 +211,7 @@ class IdentificationResult:
             declared=declared,
             before=before,
             after=after,
-            plain=_plain(self.plain) if self.plain else None,
+            plain=_plain(self.plain, self.held_out) if self.plain else None,
             effects=[self._effect(selected) for selected in self.effects],
             residual=document.Residual(
                 depends_on=[
@@ -299,12 +300,24 @@ def _errors(
     return by_channel
 
 
-def _plain(plain: PlainResult) -> document.Plain:
+def _missing_force(evaluation: ModelEvaluation, held_out: Dataset) -> dict[str, Any]:
+    """Return the force that a machine lacks on the held-out runs as in report.json."""
+    machine, lacking = evaluation.machine, evaluation.held_out.lacking
+    # A set point is no force; there the ratio only compares machines.
+    percent = None if machine.drive_laws else _percent(lacking)
+    if lacking is None or not math.isfinite(lacking):
+        return {"missing_force_percent": percent}
+    unit = machine.axis_unit
+    size = lacking * drive_force(machine, held_out) / unit.per_meter
+    force = document.Force(value=size, unit="N" if unit is METERS else "Nm")
+    return {"missing_force_percent": percent, "missing_force": force}
+
+
+def _plain(plain: PlainResult, held_out: Dataset) -> document.Plain:
     """Return the plain fit as in report.json."""
-    errors = plain.evaluation.held_out
     return document.Plain(
-        held_out=_errors(errors),
-        missing_force_percent=_percent(errors.lacking),
+        held_out=_errors(plain.evaluation.held_out),
+        **_missing_force(plain.evaluation, held_out),
         terms=list(plain.terms),
         delivered=plain.delivered,
     )

@@ -145,7 +145,13 @@ def test_identification_starts_from_the_motion_where_the_file_is_wrong_by_a_fact
     assert not result.plain.delivered
     assert any(warning.startswith("x.mass is") for warning in result.limit_warnings)
     report = result.as_json()
-    assert set(report["plain"]) == {"held_out", "missing_force_percent", "terms", "delivered"}
+    assert set(report["plain"]) == {
+        "held_out",
+        "missing_force_percent",
+        "missing_force",
+        "terms",
+        "delivered",
+    }
 
 
 def test_a_term_that_the_held_out_run_refutes_is_removed_from_the_plain_fit() -> None:

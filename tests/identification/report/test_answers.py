@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
+import numpy as np
 import pytest
 
 from hframe_gym.cli.tables import identification_table
@@ -12,11 +13,13 @@ from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset
 from hframe_gym.identification.report.answers import (
     largest_position_error,
+    missing_forces,
     removed_by_effects,
     tone_of_remainder,
     verdict_sentence,
 )
 from hframe_gym.identification.report.document import Evaluation, Formula, TableOfFormulas
+from hframe_gym.machine import BUILTIN_MACHINES
 from tests.identification.report.axis_results import effect_entry, report_with, result_of
 from tests.identification.single_axis import AXIS, axis_result, axis_runs
 
@@ -234,6 +237,50 @@ def test_errors_of_force_are_given_for_all_machines_or_for_none() -> None:
     assert all(evaluation.force_error is None for evaluation in report.machines.values())
     assert "the error on the held-out runs rises from" in verdict_sentence(report)
     assert identification_table(report).row_count == 1
+
+
+@pytest.mark.parametrize(
+    ("evaluations", "texts"),
+    [  # percent of the drives' force, and N; a force is no part of drives that hardly act
+        (((8.6, 3.1), (0.3, 0.1)), ["8.6 %", "0.3 %"]),
+        (((4e5, 12.0), (90.0, 0.002)), ["12 N", "0.002 N"]),
+        (((None, 12.0), (None, None)), ["12 N", ""]),
+        (((None, None), (0.3, None)), ["", "0.3 %"]),
+        (((150.0, None),), ["150 %"]),  # a result of an older version
+    ],
+)
+def test_the_missing_force_has_one_unit_for_all_machines(
+    evaluations: tuple[tuple[float | None, float | None], ...], texts: list[str]
+) -> None:
+    entries = [
+        Evaluation.model_validate(
+            {
+                "held_out": {},
+                "missing_force_percent": part,
+                "missing_force": force if force is None else {"value": force, "unit": "N"},
+            }
+        )
+        for part, force in evaluations
+    ]
+    assert missing_forces(entries) == texts
+
+
+def test_the_missing_force_in_newtons_is_that_part_of_the_force_of_the_drives() -> None:
+    """Of a drive that follows set points, whose commands are no force, it is the only one."""
+    result = axis_result(axis_runs(AXIS, rows=400, volts=2.0), AXIS)
+    errors = dataclasses.replace(result.before.held_out, lacking=0.5)
+    servo = BUILTIN_MACHINES["servo"]()
+    evaluations = [dataclasses.replace(result.before, machine=m, held_out=errors) for m in (AXIS, servo)]
+    report = dataclasses.replace(result, before=evaluations[0], declared=evaluations[1]).as_report()
+    volts = np.concatenate([run.inputs[:, 0] for run in result.held_out.runs])
+    assert report.before.missing_force_percent == pytest.approx(50.0)
+    assert report.before.missing_force is not None
+    assert report.before.missing_force.unit == "N"
+    expected = 0.5 * AXIS.drives[0].gain * np.sqrt(np.mean(volts**2))
+    assert report.before.missing_force.value == pytest.approx(expected)
+    assert report.declared.missing_force_percent is None
+    assert report.declared.missing_force is not None
+    assert report.declared.missing_force.unit == "Nm"
 
 
 def test_a_slow_log_is_named_first() -> None:
