@@ -21,7 +21,6 @@ processor time is below --bar.
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import subprocess
@@ -33,6 +32,8 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
+
+from tools.command_line import command_line
 
 ROOT = Path(__file__).resolve().parents[1]
 MEASURES = ("kernel", "recording", "vector", "rig", "single")
@@ -189,9 +190,7 @@ def compare(this: Checkout, other: Checkout, measure: str, repeats: int) -> NDAr
 
 def main() -> None:
     """Compare the checkouts and print the ratios."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_line(__doc__)
     parser.add_argument(
         "other", type=Path, help="root of the other checkout, for example of `git worktree add`"
     )

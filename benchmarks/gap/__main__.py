@@ -11,7 +11,6 @@ A run that ends early continues where it ended. Identified machines and trained 
 
 from __future__ import annotations
 
-import argparse
 import sys
 from pathlib import Path
 
@@ -21,6 +20,7 @@ from benchmarks.gap.plants import COUNT, PUBLIC_SEED, draw_plant
 from benchmarks.gap.summary import RESULTS, overview, read_all, summarize
 from benchmarks.results_file import write_results
 from hframe_gym.errors import InputError
+from tools.command_line import command_line
 from tools.repository import ROOT
 
 CACHE = ROOT / "out" / "gap"
@@ -80,9 +80,7 @@ def compute_bounds(seed: int, indices: list[int]) -> None:
 
 def main() -> None:
     """Run what the command line asks for."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_line(__doc__)
     parser.add_argument("action", choices=("run", "table", "list", "plants", "bounds", "picture"))
     parser.add_argument("entries", nargs="*", metavar="ENTRY")
     parser.add_argument("--plants", type=int, nargs="+", default=list(range(COUNT)), metavar="INDEX")
