@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from ..identification.budget import Progress
     from ..identification.report.document import Report
     from ..machine import Machine
-    from ..recordings import Recording
+    from ..recordings import MappingOptions, Recording
 
 _Log = Callable[[str], None]
 _INTERRUPTED = 130  # exit code after Ctrl-C, as of every command; the result of the search so far was written
@@ -116,32 +116,50 @@ def import_logs(
 
     Example:  hframe import log.txt --map v1_V=U1 --map v2_V=U2 --unit phi1_rad=deg --out runs --split-at-rests
     """
-    from ..recordings import (
-        ImportSettings,
-        MappingOptions,
-        load_machine,
-        parse_factor,
-        parse_interval,
-        read_mapping_file,
-    )
+    from ..recordings import ImportSettings, load_machine, parse_interval
     from ..recordings import import_logs as run_import
 
-    from_file = read_mapping_file(mapping) if mapping is not None else MappingOptions()
-    scales = {
-        channel: parse_factor(f"--scale {channel}={value}", value)
-        for channel, value in _pairs("scale", scale)
-    }
-    options = MappingOptions(
-        {**from_file.columns, **dict(_pairs("map", map))},
-        {**from_file.units, **dict(_pairs("unit", unit))},
-        {**from_file.scales, **scales},
-    )
+    options = _mapping_options(mapping, map, unit, scale)
     intervals = tuple(parse_interval(text) for text in cut or ())
     settings = ImportSettings(options, split_at_rests, min_rest, format.value, split_every, intervals)
     with progress_bar("import") as progress:
         files = run_import(logs, out, load_machine(machine), settings, log, progress)
     next_command = f"hframe check {quoted(str(out))} --machine {quoted(machine)}"
     log(f"wrote {len(files)} run{'s' if len(files) > 1 else ''} to {out}. Next: {next_command}")
+
+
+def _mapping_options(
+    file: Path | None,
+    columns: Sequence[str] | None,
+    units: Sequence[str] | None,
+    scales: Sequence[str] | None,
+) -> MappingOptions:
+    """Return what the options --map, --unit and --scale assign to the channels, and, where they do not, --mapping."""
+    from ..recordings import MappingOptions, parse_factor, read_mapping_file
+
+    from_file = read_mapping_file(file) if file is not None else MappingOptions()
+    factors = {
+        channel: parse_factor(f"--scale {channel}={value}", value)
+        for channel, value in _pairs("scale", scales)
+    }
+    return MappingOptions(
+        {**from_file.columns, **dict(_pairs("map", columns))},
+        {**from_file.units, **dict(_pairs("unit", units))},
+        {**from_file.scales, **factors},
+    )
+
+
+def _pairs(option: str, values: Sequence[str] | None) -> list[tuple[str, str]]:
+    """Split the values CHANNEL=VALUE of a repeated option."""
+    pairs = []
+    for text in values or ():
+        channel, sign, value = text.partition("=")
+        if not sign or not channel.strip():
+            raise InputError(
+                f"--{option} {text}: must be CHANNEL={'COLUMN' if option == 'map' else option.upper()}"
+            )
+        pairs.append((channel.strip(), value.strip()))
+    return pairs
 
 
 @app.command()
@@ -221,10 +239,8 @@ def identify(
 
     Example:  hframe identify examples/rig_a --out out/rig_a
     """
-    from ..identification.report.answers import verdict_sentence
     from ..identification.report.saved_result import next_command
     from ..recordings import load_machine
-    from .tables import effect_lines, identification_table
 
     if out.resolve() == runs_dir.resolve():
         other = Path("out", runs_dir.resolve().name)
@@ -241,21 +257,31 @@ def identify(
             return
         if jobs:
             os.environ["HFRAME_THREADS"] = str(jobs)
-        recordings = _load_runs(runs_dir, declared, max_rows)
-        with search_progress(log) as progress:
-            result, findings = fit(runs_dir, recordings, log, progress)
-        report, problem = _write_rig(result, findings, runs_dir, out, out, log)
-        console.print(identification_table(report))
-        log(f"Result: {verdict_sentence(report)}")
-        for line in effect_lines(report):
-            log(f"  {line}")
-        _log_notes(result, findings)
+        result, problem = _identify_rig(fit, runs_dir, _load_runs(runs_dir, declared, max_rows), out)
     if problem is not None and not isinstance(problem, ImportError):
         raise problem
     log(f"wrote {out / 'report.html'}" if problem is None else f"report.html not written: {problem}")
     log(f"Next: {next_command(result.verdict, result.after.machine, out)}")
     if result.unfinished is not None and result.unfinished.interrupted:
         raise typer.Exit(_INTERRUPTED)
+
+
+def _identify_rig(
+    fit: _Fit, runs_dir: Path, recordings: list[Recording], out: Path
+) -> tuple[IdentificationResult, Exception | None]:
+    """Identify one rig, write and print its result; return it with the error of the page, if there is one."""
+    from ..identification.report.answers import verdict_sentence
+    from .tables import effect_lines, identification_table
+
+    with search_progress(log) as progress:
+        result, findings = fit(runs_dir, recordings, log, progress)
+    report, problem = _write_rig(result, findings, runs_dir, out, out, log)
+    console.print(identification_table(report))
+    log(f"Result: {verdict_sentence(report)}")
+    for line in effect_lines(report):
+        log(f"  {line}")
+    _log_notes(result, findings)
+    return result, problem
 
 
 def _log_notes(result: IdentificationResult, findings: Sequence[Finding]) -> None:
@@ -421,16 +447,3 @@ def report(
     log(f"wrote {page}")
     if open:
         webbrowser.open(page.resolve().as_uri())
-
-
-def _pairs(option: str, values: Sequence[str] | None) -> list[tuple[str, str]]:
-    """Split the values CHANNEL=VALUE of a repeated option."""
-    pairs = []
-    for text in values or ():
-        channel, sign, value = text.partition("=")
-        if not sign or not channel.strip():
-            raise InputError(
-                f"--{option} {text}: must be CHANNEL={'COLUMN' if option == 'map' else option.upper()}"
-            )
-        pairs.append((channel.strip(), value.strip()))
-    return pairs

@@ -156,40 +156,47 @@ def _effect_inputs(machine: Machine) -> list[_EffectInput]:
     return [_EffectInput(k, name) for k in equations.states for name in arguments.get(k, {})]
 
 
+class _StepSignals:
+    """Quantities of a step of the integrator; points and quantities have the names of `reference_step`."""
+
+    def __init__(self, machine: Machine) -> None:
+        count = len(machine.coordinates)
+        self.time = Signal("time", 0, "time in the middle of the step, s")
+        self.half_way_travel = Signal("half_way_travel", count, "belt travel p + h/2 v, m")
+        self.correction = Signal(
+            "correction", count, "h^2/12 a, m, which leads from the half-way to the corrected point"
+        )
+        self.speed = Signal("speed", count, "speed v at the beginning of the step, m/s")
+        self.mean_speed = Signal("mean_speed", count, "mean speed in the step, v + h/2 a, m/s")
+        self.traveled = Signal("traveled", count, "change of the belt travel in the step, m")
+        self.half_step = Signal("half_step", 0, "h/2, s: time from the beginning of the step to the point")
+        self.step = Signal("step", 0, "length h of the step, s")
+        self.voltage = Signal("voltage", len(machine.drives), "commanded voltage of each drive, V")
+        self.force = Signal("force", count, "sum of all forces but viscous and Coulomb friction, N")
+        self.coulomb = Signal("coulomb", count, "Coulomb friction force F, a magnitude, N")
+        # Arrays of C have at least one entry.
+        states = max(len(Equations(machine).states), 1)
+        self.effect_state = Signal(
+            "effect_state", states, "states of the effects at the beginning of the step, SI"
+        )
+        self.next_effect_state = Signal(
+            "effect_state", states, "states of the effects, SI, which are advanced"
+        )
+        self.effect_input = Signal(
+            "effect_input",
+            max(len(_effect_inputs(machine)), 1),
+            "Coulomb friction forces, N or Nm, and drive currents, A, on which states of effects depend",
+        )
+        self.travel = Signal("travel", count, "belt travel of each coordinate, m")
+        self.reading = Signal("reading", len(machine.sensors), "reading of each sensor, m or rad")
+
+
 def _model_functions(machine: Machine) -> list[Formula]:
     """Trace the functions of model.c, in the order in which a step of the integrator calls them.
 
-    The names of the points and of the quantities are those of `reference_step`, which states the steps 1 to 4.
+    `reference_step` states the steps 1 to 4.
     """
-    parameters = parameters_of(machine)
-    count = len(machine.coordinates)
-    states, inputs = len(Equations(machine).states), len(_effect_inputs(machine))
-
-    time = Signal("time", 0, "time in the middle of the step, s")
-    half_way_travel = Signal("half_way_travel", count, "belt travel p + h/2 v, m")
-    correction = Signal(
-        "correction", count, "h^2/12 a, m, which leads from the half-way to the corrected point"
-    )
-    speed = Signal("speed", count, "speed v at the beginning of the step, m/s")
-    mean_speed = Signal("mean_speed", count, "mean speed in the step, v + h/2 a, m/s")
-    traveled = Signal("traveled", count, "change of the belt travel in the step, m")
-    half_step = Signal("half_step", 0, "h/2, s: time from the beginning of the step to the point")
-    step = Signal("step", 0, "length h of the step, s")
-    voltage = Signal("voltage", len(machine.drives), "commanded voltage of each drive, V")
-    force = Signal("force", count, "sum of all forces but viscous and Coulomb friction, N")
-    coulomb = Signal("coulomb", count, "Coulomb friction force F, a magnitude, N")
-    # Arrays of C have at least one entry.
-    effect_state = Signal(
-        "effect_state", max(states, 1), "states of the effects at the beginning of the step, SI"
-    )
-    next_effect_state = Signal(
-        "effect_state", max(states, 1), "states of the effects, SI, which are advanced"
-    )
-    effect_input = Signal(
-        "effect_input",
-        max(inputs, 1),
-        "Coulomb friction forces, N or Nm, and drive currents, A, on which states of effects depend",
-    )
+    parameters, of = parameters_of(machine), _StepSignals(machine)
 
     def traced(
         name: str,
@@ -207,29 +214,32 @@ def _model_functions(machine: Machine) -> list[Formula]:
         traced(
             "forces_at_half_way_point",
             "Step 1: forces along the belt travel of each coordinate at the half-way point.",
-            (time, half_way_travel, speed, effect_state, half_step, voltage),
-            (force, coulomb),
+            (of.time, of.half_way_travel, of.speed, of.effect_state, of.half_step, of.voltage),
+            (of.force, of.coulomb),
             _forces_at_half_way_point,
         ),
         traced(
             "forces_at_corrected_point",
             "Step 2: forces along the belt travel of each coordinate at the corrected point.",
-            (time, half_way_travel, correction, mean_speed, effect_state, half_step, voltage),
-            (force, coulomb, effect_input),
+            (
+                *(of.time, of.half_way_travel, of.correction, of.mean_speed),
+                *(of.effect_state, of.half_step, of.voltage),
+            ),
+            (of.force, of.coulomb, of.effect_input),
             _forces_at_corrected_point,
         ),
         traced(
             "next_effect_state",
             "Step 4: states of the effects at the end of the step.",
-            (next_effect_state, effect_input, traveled, mean_speed, step),
-            (next_effect_state,),
+            (of.next_effect_state, of.effect_input, of.traveled, of.mean_speed, of.step),
+            (of.next_effect_state,),
             _next_effect_state,
         ),
         traced(
             "sensors",
             "Readings of the sensors without noise.",
-            (Signal("travel", count, "belt travel of each coordinate, m"),),
-            (Signal("reading", len(machine.sensors), "reading of each sensor, m or rad"),),
+            (of.travel,),
+            (of.reading,),
             _sensors,
         ),
     ]

@@ -10,7 +10,7 @@ amplifier_J, command_J  characteristic of amplifier J and its inverse, for drive
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -137,8 +137,25 @@ def motion_formulas(machine: Machine, period: float) -> MotionFormulas:
         InputError: If the machine has no inverse dynamics, or the period is invalid.
     """
     dynamics = InverseDynamics(machine)
-    axes, drives = len(dynamics.axes), len(machine.drives)
     parameters = parameters_of(dynamics.machine)
+    formulas = _formulas_of_motion(dynamics, parameters)
+    pid, reason = _pid_or_reason(machine, period)
+    gains = _pid_parameters(pid) if pid else {}
+    if pid:
+        formulas.append(_pid_formula(pid, gains))
+    return MotionFormulas(
+        dynamics,
+        tuple(formulas),
+        _amplifier_formulas(dynamics, parameters),
+        (*parameters.values(), *gains.values()),
+        pid,
+        reason,
+    )
+
+
+def _formulas_of_motion(dynamics: InverseDynamics, parameters: Mapping[str, Parameter]) -> list[Formula]:
+    """Trace what a motion of the tool needs: voltages, those against friction, and positions of the motors."""
+    axes, drives = len(dynamics.axes), len(dynamics.machine.drives)
     time = Signal("time", 0, "time since the machine was switched on, s")
     position, velocity = (
         Signal("position", axes, "tool position, m"),
@@ -146,6 +163,9 @@ def motion_formulas(machine: Machine, period: float) -> MotionFormulas:
     )
     acceleration = Signal("acceleration", axes, "tool acceleration, m/s^2")
     voltage = Signal("voltage", drives, "commanded voltage of each drive, V, not limited")
+    added = Signal("voltage", drives, "voltage at each motor, V, to be added to a controller's")
+    motors = Signal("motor", drives, "position of the coordinate of each drive, rad (m of a linear one)")
+    motion = (time, position, velocity, acceleration)
 
     def invert(j: int, u: Any) -> Any:
         return u.trace.node(f"command_{j}", u) if isinstance(u, Expression) else dynamics.command(j, u)
@@ -162,9 +182,6 @@ def motion_formulas(machine: Machine, period: float) -> MotionFormulas:
         forces, _ = dynamics.coordinate_forces(values, t, p, v, a)
         return dynamics.motor_reference(values, p, forces)
 
-    motion = (time, position, velocity, acceleration)
-    added = Signal("voltage", drives, "voltage at each motor, V, to be added to a controller's")
-    motors = Signal("motor", drives, "position of the coordinate of each drive, rad (m of a linear one)")
     formulas = [
         trace_formula("feedforward", "Voltages of a motion.", motion, [voltage], feedforward, parameters),
         trace_formula(
@@ -179,7 +196,12 @@ def motion_formulas(machine: Machine, period: float) -> MotionFormulas:
     if dynamics.elastic:
         text = "Motor positions at which the belts transmit the forces of a motion."
         formulas.append(trace_formula("motor_reference", text, motion, [motors], reference, parameters))
-    amplifiers = {
+    return formulas
+
+
+def _amplifier_formulas(dynamics: InverseDynamics, parameters: Mapping[str, Parameter]) -> dict[int, Formula]:
+    """Trace the characteristics of the amplifiers with effects on their voltage, by index of the drive."""
+    return {
         j: trace_formula(
             f"amplifier_{j}",
             f"Voltage at motor {j} that a command gives.",
@@ -191,19 +213,16 @@ def motion_formulas(machine: Machine, period: float) -> MotionFormulas:
         for j, has in enumerate(dynamics.has_amplifiers)
         if has
     }
-    pid, reason = None, ""
+
+
+def _pid_or_reason(machine: Machine, period: float) -> tuple[TextbookPID | None, str]:
+    """Return the textbook PID of a machine, or None and why it has none; an InputError refuses the period."""
     try:
-        pid = TextbookPID(machine, period)
+        return TextbookPID(machine, period), ""
     except InputError as error:
         if "period" in str(error):
             raise
-        reason = str(error)
-    gains = _pid_parameters(pid) if pid else {}
-    if pid:
-        formulas.append(_pid_formula(pid, gains))
-    return MotionFormulas(
-        dynamics, tuple(formulas), amplifiers, (*parameters.values(), *gains.values()), pid, reason
-    )
+        return None, str(error)
 
 
 def _pid_parameters(pid: TextbookPID) -> dict[str, Parameter]:
