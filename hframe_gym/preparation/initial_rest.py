@@ -29,6 +29,9 @@ _NOISE_TOLERANCE = 8.0  # standard deviations of the noise of one sample
 _RANGE_TOLERANCE = 3.0
 _SPAN_TOLERANCE = 1e-4  # fraction of the sensor's span in the run, whatever its noise
 _SLOW_NOISE_SPAN = 1e-3  # fraction of the span that slow noise of a filtered sensor may reach; more is motion
+# Fraction of its span in the run that a sensor of a speed may show at rest. Zeros of analog tachometers err by up to
+# 2 % of their range; more is motion.
+_SPEED_ZERO_ERROR = 0.02
 
 
 class InitialRest(NamedTuple):
@@ -60,7 +63,8 @@ def initial_rest(recording: Recording, machine: Machine) -> InitialRest:
     - The first blocks agree, later ones differ from them: the machine moves before the input; the rest ends earlier.
     - The blocks differ throughout: the machine moves from beginning to end, and only the first row counts as rest.
 
-    Fewer than 16 rows are not divided: they are rest, or the third kind of motion if a sensor varies too much.
+    Fewer than 16 rows are not divided: they are rest, or the third kind of motion if a sensor varies too much. A speed
+    that is constant but not zero is the third kind as well, where no sensor shows the position of the coordinate.
 
     Args:
         recording: The run (times, s; voltages, V; measurements, m or rad, NaN where not measured).
@@ -69,6 +73,24 @@ def initial_rest(recording: Recording, machine: Machine) -> InitialRest:
         First row at rest, number of rows from the beginning of the run to the end of the rest, the sensors that move
         before the first input (mask of shape (sensors,)), and the time by which a motion precedes the input, s.
     """
+    rest = _constant_rows(recording, machine)
+    coasting = _coasting(recording, machine, rest)
+    return InitialRest(0, 1, rest.moving | coasting) if coasting.any() else rest
+
+
+def _coasting(recording: Recording, machine: Machine, rest: InitialRest) -> NDArray[np.bool_]:
+    """Return which sensors (sensors,) show a constant speed other than 0, where none shows the position."""
+    located = {s.coordinate for s in machine.sensors if s.of_position}
+    alone = np.array([s.of_velocity and s.coordinate not in located for s in machine.sensors], np.bool_)
+    if rest.rows == 1 or not alone.any():
+        return np.zeros(len(alone), np.bool_)
+    tolerance, span = _tolerances(recording, rest.rows, machine)
+    level = np.abs(_medians(recording.outputs[rest.first : rest.rows]))
+    return np.asarray(alone & (level > np.maximum(tolerance, _SPEED_ZERO_ERROR * span)))
+
+
+def _constant_rows(recording: Recording, machine: Machine) -> InitialRest:
+    """Find the rows before the first input in which all measurements are constant, also speeds other than 0."""
     rows = _rows_without_input(recording)
     if rows > _MIN_ROWS and _moves_in_last(
         recording.outputs[:rows], _tolerances(recording, rows - 1, machine)[0]
@@ -183,6 +205,11 @@ def measurement_noise(values: Array, run_values: Array, sensor: Sensor) -> float
     return max(difference_noise([values]), rounding, sensor.noise)
 
 
+def _medians(outputs: Array) -> Array:
+    """Return the median of each sensor, shape (sensors,), NaN where nothing was measured."""
+    return np.array([np.nanmedian(c) if np.isfinite(c).any() else np.nan for c in outputs.T])
+
+
 def _block_medians(outputs: Array, size: int) -> Array:
     """Return the medians of blocks of rows, shape (blocks, sensors), NaN where nothing was measured."""
     # NaN last.
@@ -215,6 +242,6 @@ def _departure(
 
 def _lead(time_s: Array, outputs: Array, resting_rows: int, tolerance: Array) -> float:
     """Return the time, s, from the last row in which all channels are as in the resting rows to the last row."""
-    middle = np.array([np.nanmedian(c) if np.isfinite(c).any() else np.nan for c in outputs[:resting_rows].T])
+    middle = _medians(outputs[:resting_rows])
     departed = (np.abs(outputs - middle) > tolerance / 2).any(axis=1)
     return float(time_s[-1] - time_s[np.flatnonzero(~departed)[-1]])

@@ -12,7 +12,7 @@ from hframe_gym.machine import Machine
 from hframe_gym.preparation.initial_rest import count_resting_rows, initial_rest, without_moving_start
 from hframe_gym.preparation.rest_measurement import estimate_initial_state
 from hframe_gym.preparation.sensor_zeros import sensor_zero_error
-from hframe_gym.recordings import Recording
+from hframe_gym.recordings import Recording, load_machine
 
 NOISE = 20e-6  # m
 ROWS, REST = 1000, 150
@@ -74,6 +74,32 @@ def test_slow_noise_of_a_filtered_sensor_is_rest(axis: Machine) -> None:
             count_resting_rows(Recording("slow", recording.time_s, recording.inputs, outputs), axis)
             == REST + 1
         )
+
+
+@pytest.mark.parametrize("free_rows", [1, 5, 15, 60])
+def test_a_motor_that_coasts_when_its_run_begins_is_not_at_rest(free_rows: int) -> None:
+    """At 10 kHz, noise hides that its speed falls; only the speed itself shows the motion."""
+    motor, recording = coasting(free_rows, speed=150.0)
+    assert count_resting_rows(recording, motor) == 1
+    assert estimate_initial_state(recording, motor).velocity[0] == pytest.approx(150.0, rel=0.02)
+
+
+def test_a_tachometer_with_a_zero_error_is_at_rest() -> None:
+    motor, recording = coasting(200, speed=0.0)
+    shifted = dataclasses.replace(recording, outputs=recording.outputs + 0.01 * np.ptp(recording.outputs))
+    assert count_resting_rows(shifted, motor) == 201
+
+
+def coasting(free_rows: int, speed: float) -> tuple[Machine, Recording]:
+    """Return a motor with a tachometer, and its noisy run at 10 kHz that begins with some rows without voltage."""
+    motor = load_machine("motor")
+    tachometer = dataclasses.replace(motor.sensors[0], kind="speed", noise=0.0, resolution=0.0)
+    motor = motor.replace(sensors=(tachometer,)).replace({"shaft.mass": 50 * motor.coordinates[0].mass})
+    rows = np.arange(3000)
+    volts = np.where(rows < free_rows, 0.0, 12.0)[:, None]
+    outputs = motor.simulate(rows * 1e-4, volts, [0.0, speed]).outputs
+    outputs += np.random.default_rng(0).normal(0.0, 0.3, outputs.shape)
+    return motor, Recording("coasting", rows * 1e-4, volts, outputs)
 
 
 def test_a_swing_that_settles_before_the_first_input_is_not_used(axis: Machine) -> None:
