@@ -17,6 +17,7 @@ from ..fit.missing_force import Dependence
 from ..fit.parameter_diagnostics import parameters_at_limit, undeclared_friction
 from ..judge.criteria import SelectionCriteria
 from ..judge.verdict import Verdict
+from ..predict.prediction import observer_gains
 from ..validate.machine_errors import ModelEvaluation, PredictionErrors
 from ..validate.simpler_machines import PlainResult
 from . import document
@@ -303,6 +304,8 @@ def _errors(
 def _missing_force(evaluation: ModelEvaluation, held_out: Dataset) -> dict[str, Any]:
     """Return the force that a machine lacks on the held-out runs as in report.json."""
     machine, lacking = evaluation.machine, evaluation.held_out.lacking
+    if not observer_gains(machine, held_out.period).any():
+        return {"missing_force_percent": None}  # accelerations alone correct no motion
     # A set point is no force; there the ratio only compares machines.
     percent = None if machine.drive_laws else _percent(lacking)
     if lacking is None or not math.isfinite(lacking):

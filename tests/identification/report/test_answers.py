@@ -19,7 +19,7 @@ from hframe_gym.identification.report.answers import (
     verdict_sentence,
 )
 from hframe_gym.identification.report.document import Evaluation, Formula, TableOfFormulas
-from hframe_gym.machine import BUILTIN_MACHINES
+from hframe_gym.machine import BUILTIN_MACHINES, Sensor
 from tests.identification.report.axis_results import effect_entry, report_with, result_of
 from tests.identification.single_axis import AXIS, axis_result, axis_runs
 
@@ -281,6 +281,16 @@ def test_the_missing_force_in_newtons_is_that_part_of_the_force_of_the_drives() 
     assert report.declared.missing_force_percent is None
     assert report.declared.missing_force is not None
     assert report.declared.missing_force.unit == "Nm"
+
+
+def test_accelerations_alone_tell_no_missing_force() -> None:
+    """An observer corrects no motion by them, so that the force of its corrections is 0 whatever is missing."""
+    result = axis_result(axis_runs(AXIS, rows=400, volts=2.0), AXIS)
+    felt = AXIS.replace(sensors=(Sensor("x_m", {"x": 1.0}, kind="acceleration"),))
+    errors = dataclasses.replace(result.before.held_out, lacking=0.0)
+    felt_result = dataclasses.replace(result.before, machine=felt, held_out=errors)
+    report = dataclasses.replace(result, declared=felt_result).as_report()
+    assert missing_forces([report.declared]) == [""]
 
 
 def test_a_slow_log_is_named_first() -> None:
