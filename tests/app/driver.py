@@ -150,7 +150,12 @@ class Visitor:
         from selenium.webdriver.common.keys import Keys
 
         field = self.driver.find_element(By.CSS_SELECTOR, selector)
-        self.driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", field)
+        # A choice may redraw the stage, and the field with it: what is asked of it is asked before.
+        stays_open = self.driver.execute_script(
+            "arguments[0].scrollIntoView({block: 'center'});"
+            "return !!arguments[0].closest('.q-select--multiple')",
+            field,
+        )
         field.click()
         self.until("document.querySelectorAll('.q-menu .q-item').length > 0", 5.0)
         time.sleep(0.3)
@@ -160,7 +165,7 @@ class Visitor:
             text,
         )
         assert found, f"{selector} has no entry {text}"
-        if self.driver.execute_script("return !!arguments[0].closest('.q-select--multiple')", field):
+        if stays_open:
             self.press(Keys.ESCAPE)  # the menu stays open for further choices
         self.until("document.querySelectorAll('.q-menu .q-item').length === 0", 5.0)
 

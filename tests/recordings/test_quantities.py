@@ -231,7 +231,7 @@ def test_a_column_of_another_quantity_is_no_time(
     with pytest.raises(InputError, match=message):
         run_of(path, axis, columns={"time_s": header.replace("__", " ")}, **options)
     if header != "sample":
-        with pytest.raises(InputError, match="--map time_s=COLUMN"):
+        with pytest.raises(InputError, match="--map time_s=200Hz; no column is a time"):
             run_of(path, axis)
 
 
