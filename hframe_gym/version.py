@@ -1,4 +1,4 @@
-"""The version of this package."""
+"""The version of this package, and how logs and written files state it."""
 
-__version__ = "0.4.0"  # the only place of the version; pyproject.toml reads it
-SOFTWARE = f"hframe_gym {__version__}"  # the program that wrote a file, as the file states it
+__version__ = "0.4.0"  # the only place where it is set; pyproject.toml reads it from here
+NAME_AND_VERSION = f"hframe_gym {__version__}"

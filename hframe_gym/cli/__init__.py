@@ -18,7 +18,7 @@ from typing import Annotated, Any
 import typer
 from typer import Option
 
-from ..version import SOFTWARE
+from ..version import NAME_AND_VERSION
 from . import app_commands, control_commands, export_commands, machine_commands, recording_commands
 from .application import app
 from .messages import DEBUG_VARIABLE, FAULT_FOUND, describe_failure, print_warning
@@ -38,7 +38,7 @@ __all__ = [
 def _print_version(requested: bool) -> None:
     """Print the version and exit if --version is given."""
     if requested:
-        log(SOFTWARE)
+        log(NAME_AND_VERSION)
         raise typer.Exit
 
 

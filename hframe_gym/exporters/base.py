@@ -22,7 +22,7 @@ from ..files import output_folder, write_files
 from ..machine import Coordinate, Machine, rest_positions_per_axis, rest_state
 from ..recordings import load_machine, machine_to_dict
 from ..registry import Registry
-from ..version import SOFTWARE
+from ..version import NAME_AND_VERSION
 
 Files = Mapping[str, str | bytes]
 HELP, ARGUMENT, CLI_TYPE, RANGE = "help", "argument", "cli_type", "range"  # keys of the metadata of a field
@@ -125,7 +125,7 @@ class MachineExporter(Exporter):
         content = json.dumps(machine_to_dict(machine), sort_keys=True)
         options = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name != "machine"}
         return {
-            "software": SOFTWARE,
+            "software": NAME_AND_VERSION,
             "export": self.kind,
             "options": {name: value for name, value in options.items() if value is not None},
             "machine": machine.name,

@@ -15,7 +15,7 @@ from typing_extensions import override
 from ..errors import InputError
 from ..files import output_folder
 from ..machine import observed_coordinates
-from ..version import SOFTWARE
+from ..version import NAME_AND_VERSION
 from .base import EXPORTERS, Exporter, argument, json_text, option, write_export
 
 OPSET = 17  # of ONNX, from 2022; runtimes since then have it
@@ -187,7 +187,7 @@ def _contract(agent: Any, keys: list[str], example: tuple[Any, ...], name: str) 
         inputs.append(about)
     return {
         "provenance": {
-            "software": SOFTWARE,
+            "software": NAME_AND_VERSION,
             "export": "policy",
             "agent": name,
             "machine": machine.name,

@@ -28,6 +28,7 @@ DRAG = EFFECTS["quadratic_drag"].at("x", c=4.0)
 SPRING = EFFECTS["cable_spring"].at("x", k=6.0, q0=0.05)
 STRIBECK = EFFECTS["stribeck_friction"].at("x", dF=3.0, vs=0.04)
 FRAME = EFFECTS["frame_resonance"].at("x", f0=19.0, zeta=0.05, r=0.05, s=0.8)
+CLOCK = EFFECTS["clock_drift"].at("machine", a=-5e-4)
 DATA: Any = SimpleNamespace(count=COUNT, updates=1, has_voltage_errors=False, updates_rejected={})
 
 

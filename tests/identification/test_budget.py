@@ -228,6 +228,23 @@ def test_what_there_is_no_time_to_test_is_not_named() -> None:
     assert entry.reason == "was not tested before the budget ended"
 
 
+def budget_with_slow_fit(monkeypatch: pytest.MonkeyPatch, fit_of_search: str, ends: float) -> Budget:
+    """Return a budget of 1 s that the search has used up when it compares rivals; a later fit ends at a time, s."""
+    seconds = [0.0]
+
+    def slow(fitted: Fit, data: Dataset) -> Fit:
+        seconds[0] = ends
+        spend()
+        return fitted
+
+    def progress(doing: str, spent: float, budget: float) -> None:
+        if doing == "comparing rivals":
+            seconds[0] = stage_ends(AXIS).search
+
+    monkeypatch.setattr(model_search, fit_of_search, slow)
+    return Budget(1.0, clock=lambda: seconds[0], progress=progress)
+
+
 def test_the_judgment_of_a_search_that_ended_early_is_part_of_its_tests(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -236,19 +253,7 @@ def test_the_judgment_of_a_search_that_ended_early_is_part_of_its_tests(
         EFFECTS["current_limit"].at("motor", I=5.0), EFFECTS["quadratic_drag"].at("x", c=60.0)
     )
     data = axis_runs(dragged, rows=1500, volts=9.0)
-    seconds = [0.0]
-
-    def slow(fitted: Fit, data: Dataset) -> Fit:
-        seconds[0] = 1.0
-        spend()
-        return fitted
-
-    def progress(doing: str, spent: float, budget: float) -> None:
-        if doing == "comparing rivals":
-            seconds[0] = stage_ends(AXIS).search
-
-    monkeypatch.setattr(model_search, "refined_in_simulation", slow)
-    budget = Budget(1.0, clock=lambda: seconds[0], progress=progress)
+    budget = budget_with_slow_fit(monkeypatch, "refined_in_simulation", ends=1.0)
     outcome = search_effects.search_effects(
         AXIS, data, SelectionCriteria(max_effects=1), lambda line: None, budget=budget
     )
@@ -259,19 +264,7 @@ def test_the_judgment_of_a_search_that_ended_early_is_part_of_its_tests(
 
 def test_the_last_fits_of_what_passed_its_tests_are_no_tests(monkeypatch: pytest.MonkeyPatch) -> None:
     """The effect that was found passes its tests in time, and the fits to deliver both machines take longer."""
-    seconds = [0.0]
-
-    def slow(fitted: Fit, data: Dataset) -> Fit:
-        seconds[0] = stage_ends(AXIS).tests
-        spend()
-        return fitted
-
-    def progress(doing: str, spent: float, budget: float) -> None:
-        if doing == "comparing rivals":
-            seconds[0] = stage_ends(AXIS).search
-
-    monkeypatch.setattr(model_search, "fit_slow_log", slow)
-    budget = Budget(1.0, clock=lambda: seconds[0], progress=progress)
+    budget = budget_with_slow_fit(monkeypatch, "fit_slow_log", ends=stage_ends(AXIS).tests)
     data = axis_runs(AXIS.with_effects(EFFECTS["current_limit"].at("motor", I=5.0)), rows=1500, volts=9.0)
     outcome = search_effects.search_effects(AXIS, data, SelectionCriteria(), lambda line: None, budget=budget)
     assert outcome.unfinished

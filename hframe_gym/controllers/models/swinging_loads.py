@@ -31,16 +31,14 @@ class SwingingLoads:
         self._period, self._loads = period, slow_loads(machine)
         names, units = rigid.coordinate_names, rigid.travel_per_unit
         self._sites = [names.index(load.site) for load in self._loads]
-        self._units = np.array(
-            [units[site] for site in self._sites]
-        )  # m of belt travel per unit of the coordinate
+        # m of belt travel per unit of the coordinate
+        self._units = np.array([units[site] for site in self._sites])
         self._count = len(names)
         self._motion: list[tuple[Array, Array, Array]] = [
             _discrete_motion(load, rigid.coordinate(load.site).mass, period) for load in self._loads
         ]
-        self._state = np.zeros(
-            (0, len(self._loads), 2)
-        )  # deflection and its rate, in the units of the coordinates
+        # Deflection and its rate, in the units of the coordinates.
+        self._state = np.zeros((0, len(self._loads), 2))
         self.last_force = np.zeros((0, self._count))
 
     def __bool__(self) -> bool:

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
-from ...version import SOFTWARE
+from ...version import NAME_AND_VERSION
 from .document import File, Made
 
 
@@ -21,7 +21,7 @@ def provenance(files: Sequence[Path]) -> Made:
         files: Files of the recordings, those that can be read; empty if the recordings come from no files.
     """
     return Made(
-        software=SOFTWARE,
+        software=NAME_AND_VERSION,
         time=datetime.now(UTC).isoformat(timespec="seconds"),
         files=[_description(path) for path in files if path.is_file()],
     )

@@ -11,14 +11,13 @@ from hframe_gym.identification.evidence.effect_variables import (
 )
 from hframe_gym.machine import AppliedEffect
 from tests.identification.scripted_fits import (
+    CLOCK,
     DRAG,
     FRAME,
     HFRAME,
     SPRING,
     STRIBECK,
 )
-
-CLOCK = EFFECTS["clock_drift"].at("machine", a=-5e-4)
 
 
 @pytest.mark.parametrize(

@@ -17,14 +17,13 @@ from hframe_gym.identification.evidence.significance import (
     doubt_beside_others,
 )
 from tests.identification.scripted_fits import (
+    CLOCK,
     COUNT,
     CRITERIA,
     DATA,
     Scripted,
     fit_with,
 )
-
-CLOCK = EFFECTS["clock_drift"].at("machine", a=-5e-4)
 
 
 @pytest.mark.parametrize(
