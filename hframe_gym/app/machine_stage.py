@@ -11,7 +11,7 @@ from typing_extensions import override
 from ..dynamics import belt_modes
 from ..errors import InputError
 from ..identification.report.units import readable_unit
-from ..machine import Machine, motion_limits
+from ..machine import Machine, motion_limits, written_unit
 from ..recordings import TEMPLATES, TemplateQuestion, implausible_values, template_questions
 from ..web_page import number
 from .session import CONTROL, EXPORTS, FINDINGS, MACHINE, RESULT, RUNS, new_machine_command
@@ -190,5 +190,5 @@ def parameter_rows(machine: Machine) -> list[tuple[str, str, str]]:
     rows = []
     for name, value in machine.parameters.items():
         deviation = f" ± {number(float(deviations[name]))}" if name in deviations else ""
-        rows.append((name, f"{value:.6g}{deviation}", machine.unit(name)))
+        rows.append((name, f"{value:.6g}{deviation}", written_unit(machine.unit(name))))
     return rows

@@ -11,6 +11,7 @@ import math
 import time
 from collections.abc import Sequence
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 
 from ..errors import InputError
@@ -19,20 +20,19 @@ from ..operating_system import reused_memory
 from ..parallel import single_threaded_linear_algebra
 from ..preparation.dataset import Dataset, runs_that_should_move
 from ..preparation.division import copied_runs, divide_runs, moving_runs
-from ..preparation.excerpt import is_long, representative_part
+from ..preparation.excerpt import representative_part
 from ..preparation.session import Session, prepare_session
 from ..recordings import Recording
 from ..registry import load_plugins
 from .budget import COMPARISON_PART, DEFAULT_SECONDS, LAST_STAGE_END, Budget, BudgetEndedError
 from .evidence.tried_effects import Log
-from .fit.plain_fit import PlainFit
 from .fit.run_differences import describe_run_differences
 from .judge.criteria import SelectionCriteria
 from .report.assembly import build_result
 from .report.result import IdentificationResult
 from .search.checked_search import find_effects
-from .validate.evaluation import HeldOutTest, judged, with_certain_effects
-from .validate.simpler_machines import no_worse, time_after_search
+from .validate.evaluation import HeldOutTests, judged, with_certain_effects
+from .validate.simpler_machines import no_worse, reserve_time_after_search
 
 _SILENT = (
     "Not used: nothing moves in {0}, although {1} starts to move with no more. Its sensor was not read, its drive was "
@@ -93,12 +93,7 @@ def identify(
     machine = session.machine
     all_runs, statements = _without_silent_runs(session, held_names, log)
 
-    known: list[HeldOutTest] = []
-
-    def before_search(plain: PlainFit | None, fitted: Dataset, held_out: Dataset) -> None:
-        if any(is_long(r, machine) for r in session.recordings if r.name in held_names):
-            known.append(HeldOutTest(session, held_out, criteria))
-            budget.reserve(time_after_search(known[-1], plain, fitted))
+    tests = HeldOutTests(session, criteria)
 
     # Refit, then propose effects, fit them, gather evidence and judge it, until none passes: in the fitted runs.
     found = find_effects(
@@ -109,19 +104,14 @@ def identify(
         criteria=criteria,
         log=log,
         budget=budget,
-        before_search=before_search,
+        before_search=partial(reserve_time_after_search, budget, tests),
     )
     found = found._replace(messages=(*copies, *session.statements, *statements, *found.messages))
 
     # Validate: effects must be certain; held-out runs judge verdict and names; nothing worse than a plain fit or the
     # file is delivered.
-    test = next(
-        (test for test in known if test.held_out is found.held_out),
-        HeldOutTest(session, found.held_out, criteria),
-    )
-    evaluated = judged(
-        test.evaluate(with_certain_effects(found.outcome, criteria, log)), found.differing, log
-    )
+    certain = with_certain_effects(found.outcome, criteria, log)
+    evaluated = judged(tests.of(found.held_out).evaluate(certain), found.differing, log)
     delivered = no_worse(evaluated, found.plain, log, budget)
     outcome = delivered.evaluated.outcome
     remarks = (*found.remarks, *delivered.remarks)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +29,7 @@ from hframe_gym.identification.fit.estimation import Fit
 from hframe_gym.identification.fit.plain_fit import plain_fit
 from hframe_gym.identification.search import checked_search, model_search, search_effects
 from hframe_gym.identification.search.outcome import SearchOutcome
-from hframe_gym.identification.validate import evaluation
+from hframe_gym.identification.validate import evaluation, simpler_machines
 from hframe_gym.identification.validate.machine_errors import ModelEvaluation, evaluate_held_out
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from tests.identification.scripted_fits import CRITERIA, DATA, fit_with
@@ -361,7 +360,7 @@ def test_no_machine_is_evaluated_twice_and_known_ones_before_the_search(
         return evaluate_held_out(machine, *args)
 
     monkeypatch.setattr(evaluation, "evaluate_held_out", evaluated)
-    monkeypatch.setattr(sys.modules[identify.__module__], "is_long", lambda recording, machine: True)
+    monkeypatch.setattr(simpler_machines, "is_long", lambda recording, machine: True)
     runs = axis_recordings(AXIS.replace({"x.mass": 2.0 * AXIS.coordinates[0].mass}), rows=1000, volts=6.0)
 
     def log(line: str) -> None:

@@ -19,7 +19,7 @@ Verdict = Literal["effect_found", "no_effect", "unexplained"]
 
 
 @dataclass(frozen=True)
-class Evidence:
+class VerdictEvidence:
     """What the held-out runs say about the refitted machine (before) and the machine with effects (after).
 
     Runs that contradict the fitted ones do not count, unless all of them do. A machine whose simulation diverges has
@@ -90,7 +90,7 @@ def remaining(after: float, before: float, floor: float) -> float:
     return 0.0 if left == 0.0 else left / total if total > 0.0 else math.inf
 
 
-def contradiction_of_no_effect(evidence: Evidence, criteria: SelectionCriteria) -> str:
+def contradiction_of_no_effect(evidence: VerdictEvidence, criteria: SelectionCriteria) -> str:
     """Return why the held-out runs contradict that no effect is missing, or "" if they do not.
 
     Args:
@@ -113,7 +113,7 @@ def contradiction_of_no_effect(evidence: Evidence, criteria: SelectionCriteria) 
     return ""
 
 
-def contradiction_of_names(evidence: Evidence, explained: bool, criteria: SelectionCriteria) -> str:
+def contradiction_of_names(evidence: VerdictEvidence, explained: bool, criteria: SelectionCriteria) -> str:
     """Return why the held-out runs do not permit to name effects, or "" if they do.
 
     Effects are named if they leave hardly more than noise, if what they leave is small against what they explain, or if

@@ -18,7 +18,7 @@ from scipy import signal
 from ...arrays import Array
 from ...machine import Machine
 from ..fit.motion_variables import smooth_sign
-from .cause_evidence import Cause, Columns, Evidence, Signals
+from .cause_comparison import Cause, CauseComparison, Columns, Signals
 
 _KNOTS, _KNOTS_OF_FACTOR = 13, 6  # of a curve; of one that multiplies a direction, current or voltage
 _HIGHEST_HZ = 25.0  # frequency of a periodic force in slow motion; a filter removes faster ones
@@ -32,37 +32,37 @@ _LAGS_S = (0.005, 0.02, 0.05)  # of what belts do after a change of tension
 
 
 def causes_of_force(
-    machine: Machine, evidence: Evidence, directions: Array, deviating: NDArray[np.bool_]
+    machine: Machine, comparison: CauseComparison, directions: Array, deviating: NDArray[np.bool_]
 ) -> Iterator[Cause]:
     """Yield causes that are forces: on each coordinate, by each drive, by both drives, and the clock.
 
     Args:
-        evidence: The missing force.
+        comparison: Comparison with the missing force.
         directions: Force along each motion per force on a coordinate, dimensionless, shape (motions, coordinates).
         deviating: Coordinates whose sensors show more than noise, shape (coordinates,).
     """
     names = machine.coordinate_names
     acting = [i for i in range(len(names)) if deviating[i] and np.any(directions[:, i] != 0.0)]
     for i in acting:
-        yield from _causes_on_coordinate(machine, evidence, i)
+        yield from _causes_on_coordinate(machine, comparison, i)
     together: dict[str, list[tuple[int | None, Columns]]] = {}
     for j, drive in enumerate(machine.drives):
         i = names.index(drive.coordinate)
         if i not in acting:
             continue
-        yield from _causes_by_drive(machine, evidence, j)
-        for variable, columns in _effects_of_supply(machine, evidence.signals, j).items():
+        yield from _causes_by_drive(machine, comparison, j)
+        for variable, columns in _effects_of_supply(machine, comparison.signals, j).items():
             together.setdefault(variable, []).append((i, drive.gain * columns))
     for variable, parts in together.items():
         if len(parts) > 1:
             yield Cause("drives", variable, machine.drives[0].coordinate, tuple(parts))
     if acting:
-        yield _clock(machine, evidence.signals, acting)
+        yield _clock(machine, comparison.signals, acting)
 
 
-def _causes_on_coordinate(machine: Machine, evidence: Evidence, i: int) -> Iterator[Cause]:
+def _causes_on_coordinate(machine: Machine, comparison: CauseComparison, i: int) -> Iterator[Cause]:
     """Yield causes that act on coordinate i: curves, periodic forces, friction that varies, and a resonance."""
-    signals, name = evidence.signals, machine.coordinate_names[i]
+    signals, name = comparison.signals, machine.coordinate_names[i]
     position, velocity, acceleration = (
         f"{what} of {name}" for what in ("position", "velocity", "acceleration")
     )
@@ -74,7 +74,7 @@ def _causes_on_coordinate(machine: Machine, evidence: Evidence, i: int) -> Itera
     for variable in (position, velocity):
         yield on(variable, _curve(signals[variable], _KNOTS))
     for factor in (np.ones_like(sign), sign):
-        yield on(position, factor * _periodic(evidence, i, position, velocity, factor))
+        yield on(position, factor * _periodic(comparison, i, position, velocity, factor))
     others = [c.name for c in machine.coordinates if c.kind == "linear" and c.name != name]
     for other in (f"{what} of {n}" for n in others for what in ("position", "velocity")):
         values = signals[other] if other.startswith("position") else np.abs(signals[other])
@@ -83,12 +83,12 @@ def _causes_on_coordinate(machine: Machine, evidence: Evidence, i: int) -> Itera
         yield on(variable, sign * _curve(signals[variable], _KNOTS_OF_FACTOR))
     for variable in (f"path of {name}", "time", "time in the run"):  # as friction warms up: slowly
         yield on(variable, sign * _polynomial(signals[variable]))
-    yield on(acceleration, _resonance(evidence, i, acceleration))
+    yield on(acceleration, _resonance(comparison, i, acceleration))
 
 
-def _causes_by_drive(machine: Machine, evidence: Evidence, j: int) -> Iterator[Cause]:
+def _causes_by_drive(machine: Machine, comparison: CauseComparison, j: int) -> Iterator[Cause]:
     """Yield causes that are forces of drive j: wrong currents and voltages, heat, and cogging with the current."""
-    signals, drive, volts = evidence.signals, machine.drives[j], machine.input_channels[j]
+    signals, drive, volts = comparison.signals, machine.drives[j], machine.input_channels[j]
     i = machine.coordinate_names.index(drive.coordinate)
     amps, heat = f"current of {drive.name}", f"heat of {drive.name}"
     position, speed = f"position of {drive.coordinate}", f"velocity of {drive.coordinate}"
@@ -98,7 +98,7 @@ def _causes_by_drive(machine: Machine, evidence: Evidence, j: int) -> Iterator[C
         volts: _curve(signals[volts], _KNOTS),
         heat: current * _polynomial(signals[heat]),
         "time in the run": current * _polynomial(signals["time in the run"]),
-        position: current * _periodic(evidence, i, position, speed, current),
+        position: current * _periodic(comparison, i, position, speed, current),
     }
     for variable, columns in causes.items():
         yield Cause(drive.name, variable, drive.coordinate, ((i, columns),))
@@ -131,31 +131,31 @@ def _clock(machine: Machine, signals: Signals, acting: list[int]) -> Cause:
 
 
 def causes_of_disagreement(
-    machine: Machine, evidence: Evidence, deviating: NDArray[np.bool_]
+    machine: Machine, comparison: CauseComparison, deviating: NDArray[np.bool_]
 ) -> Iterator[Cause]:
     """Yield causes that are errors of one sensor, gaps or slip between a motor and its encoder, and of the belts.
 
     Args:
-        evidence: What the sensors disagree about.
+        comparison: Comparison with what the sensors disagree about.
         deviating: Sensors that show more than noise, shape (sensors,).
     """
-    signals = evidence.signals
+    signals = comparison.signals
     by_coordinate = {sensor.coordinate: j for j, sensor in enumerate(machine.sensors) if sensor.of_position}
     for j, sensor in enumerate(machine.sensors):
-        if not sensor.of_position or not deviating[j] or not np.any(evidence.direction(j)):
+        if not sensor.of_position or not deviating[j] or not np.any(comparison.direction(j)):
             continue
         name, channel = sensor.coordinate, machine.output_channels[j]
         position, speed = f"position of {name}", f"velocity of {name}"
         for variable, columns in (
             (position, _curve(signals[position], _KNOTS)),
-            (position, _periodic(evidence, j, position, speed, np.ones((len(signals[speed]), 1)))),
+            (position, _periodic(comparison, j, position, speed, np.ones((len(signals[speed]), 1)))),
             (speed, _curve(signals[speed], _KNOTS)),
         ):
             yield Cause(channel, variable, name, ((j, columns),))
     loads: list[tuple[int | None, Columns]] = []
     for drive in machine.drives:
         sensor_index = by_coordinate.get(drive.coordinate)
-        if sensor_index is None or not np.any(evidence.direction(sensor_index)):
+        if sensor_index is None or not np.any(comparison.direction(sensor_index)):
             continue
         # A gap is open towards the load: its sign counts, its size bends shafts.
         load = signals[f"load of {drive.name}"]
@@ -202,12 +202,12 @@ def _curve(values: Array, knots: int) -> Columns:
     return np.stack([np.interp(values, places, hat) for hat in np.eye(len(places))], axis=1)
 
 
-def _periodic(evidence: Evidence, index: int, position: str, speed: str, factor: Columns) -> Columns:
+def _periodic(comparison: CauseComparison, index: int, position: str, speed: str, factor: Columns) -> Columns:
     """Return sine and cosine (rows, 2) of the period in a position that explains the most, multiplied by the factor.
 
     Nothing of short periods is seen.
     """
-    signals = evidence.signals
+    signals = comparison.signals
     places = signals.compared(signals[position][:, None])[:, 0]
     factors = signals.compared(factor)[:, 0]
     travel = float(np.ptp(places))
@@ -218,7 +218,7 @@ def _periodic(evidence: Evidence, index: int, position: str, speed: str, factor:
     highest = min(max(highest, 2.0 * lowest), _MOST_PERIODS * lowest)
     numbers = np.arange(lowest, highest, 0.3 * 2.0 * np.pi / travel)
     every = slice(None, None, max(1, len(places) // _SCREENED_ROWS))
-    places, seen = places[every], evidence.target(index)[every] * factors[every]
+    places, seen = places[every], comparison.target(index)[every] * factors[every]
     wave, turn = seen * np.exp(1j * numbers[0] * places), np.exp(1j * (numbers[1] - numbers[0]) * places)
     sizes = np.empty(len(numbers))
     for k in range(len(numbers)):
@@ -229,9 +229,9 @@ def _periodic(evidence: Evidence, index: int, position: str, speed: str, factor:
     return np.stack([np.sin(angle), np.cos(angle)], axis=1)
 
 
-def _resonance(evidence: Evidence, index: int, acceleration: str) -> Columns:
+def _resonance(comparison: CauseComparison, index: int, acceleration: str) -> Columns:
     """Return position and velocity of the resonator, driven by an acceleration, that explains the most."""
-    signals, target = evidence.signals, evidence.target(index)
+    signals, target = comparison.signals, comparison.target(index)
     best, most = np.zeros((len(signals[acceleration]), 2)), 0.0
     for hertz in _RESONANCES_HZ:
         w = 2.0 * np.pi * hertz

@@ -22,7 +22,7 @@ from ..fit.missing_force import (
 from ..fit.motion_variables import smooth_sign
 from ..judge import cause as judge
 from ..predict.free_parameters import typical_force
-from .cause_evidence import Cause, Evidence, Signals
+from .cause_comparison import Cause, CauseComparison, Signals, Unexplained
 from .causes import causes_of_disagreement, causes_of_force
 
 # Fraction of the typical force; a smaller missing force is a rounding error, as on an axis at rest.
@@ -58,46 +58,40 @@ def rank_dependences(machine: Machine, data: Dataset) -> list[Dependence]:
     if np.abs(force).max() <= _ROUNDING_FORCE * typical_force(machine):
         return []
     absorbed, directions = _absorbed(machine, signals), motion_directions(machine, data)
-    evidence = Evidence(
-        signals,
+    missing = Unexplained(
         signals.thinned([motion.correction for motion in motions]),
         signals.thinned([motion.correction_noise for motion in motions]),
         signals.compared(force),
-        absorbed,
-        np.zeros((signals.count, 0)),
         directions,
         correction_filters(machine, data),
     )
-    ranked = _ranked(evidence, causes_of_force(machine, evidence, directions, deviating))
+    comparison = CauseComparison(signals, missing, absorbed)
+    ranked = _ranked(comparison, causes_of_force(machine, comparison, directions, deviating))
     if motions[0].disagreement.shape[1]:
         signals = Signals(machine, data, motions, _DISAGREEMENT_HZ, filtered=False)
         disagreement = signals.thinned([motion.disagreement for motion in motions])
-        evidence = Evidence(
-            signals,
-            disagreement,
-            signals.thinned([motion.disagreement_noise for motion in motions]),
-            disagreement,
-            np.hstack([absorbed, force]),  # a missing force stretches belts as well
-            signals.run_constants(),
-            sensor_combinations(machine, data).T,
-            None,
+        noise = signals.thinned([motion.disagreement_noise for motion in motions])
+        unexplained = Unexplained(
+            disagreement, noise, prompt=disagreement, directions=sensor_combinations(machine, data).T
         )
-        ranked += _ranked(evidence, causes_of_disagreement(machine, evidence, ~white))
+        absorbed = np.hstack([absorbed, force])  # a missing force stretches belts as well
+        comparison = CauseComparison(signals, unexplained, absorbed, free_constants=True)
+        ranked += _ranked(comparison, causes_of_disagreement(machine, comparison, ~white))
     best: dict[tuple[str, str], Dependence] = {}
     for _, dependence in sorted(ranked, key=lambda entry: -entry[0]):
         best.setdefault((dependence.component, dependence.variable), dependence)
     return list(best.values())
 
 
-def _ranked(evidence: Evidence, causes: Iterable[Cause]) -> list[tuple[float, Dependence]]:
+def _ranked(comparison: CauseComparison, causes: Iterable[Cause]) -> list[tuple[float, Dependence]]:
     """Return the causes that explain enough of what is missing, each with the number by which they are sorted."""
     ranked = []
     for cause in causes:
         plain = cause.variable.startswith(_PLAIN)
-        found = judge.CauseEvidence(*evidence.explained(cause), evidence.beyond_noise, plain)
+        found = judge.CauseEvidence(*comparison.explained(cause), comparison.beyond_noise, plain)
         if judge.is_cause(found):
             dependence = Dependence(cause.variable, cause.coordinate, found.fraction, cause.component)
-            ranked.append((judge.rank_of_cause(found, evidence.total), dependence))
+            ranked.append((judge.rank_of_cause(found, comparison.total), dependence))
     return ranked
 
 

@@ -135,7 +135,7 @@ def parameter_rows(machine: Machine, declared: Machine) -> list[ParameterRow]:
             name=name,
             value=f"{machine.parameters[name]:.5g}",
             std=f"{machine.uncertainty.std(name):.2g}",
-            unit=machine.unit(name),
+            unit=written_unit(machine.unit(name)),
             declared=f"{declared.parameters[name]:.5g}" if name in declared.parameters else "",
             doubt="; ".join(doubts[name]),
         )
@@ -173,7 +173,7 @@ def inseparable_rows(report: Report, machine: Machine) -> list[InseparableRow]:
     for group in report.not_separable:
         sums = [
             f"{sum_text(entry.weights)} = {entry.value:.5g} ± {entry.std:.2g} "
-            f"{machine.unit(next(iter(entry.weights)))}"
+            f"{written_unit(machine.unit(next(iter(entry.weights))))}".rstrip()
             for entry in group.determined
         ]
         rows.append(InseparableRow(", ".join(group.parameters), "; ".join(sums) or "no combination"))

@@ -28,7 +28,7 @@ from ..judge.criteria import SelectionCriteria
 from ..judge.effect import uncertain_size
 from ..judge.verdict import (
     JUDGING_BANDWIDTH,
-    Evidence,
+    VerdictEvidence,
     contradiction_of_names,
     contradiction_of_no_effect,
     remaining,
@@ -160,6 +160,27 @@ class HeldOutTest:
         return Evaluated(outcome, selected, declared, before, after, self)
 
 
+class HeldOutTests:
+    """Tests of one identification, which may hold out other runs, or prepare them otherwise, in a second search.
+
+    Args:
+        session: All runs, as logged and as prepared, with the declared machine.
+        criteria: Thresholds of the identification.
+    """
+
+    def __init__(self, session: Session, criteria: SelectionCriteria):
+        self.session, self._criteria = session, criteria
+        self._tests: list[HeldOutTest] = []
+
+    def of(self, held_out: Dataset) -> HeldOutTest:
+        """Return the test by these held-out runs, with the errors that it knows."""
+        for test in self._tests:
+            if test.held_out is held_out:
+                return test
+        self._tests.append(HeldOutTest(self.session, held_out, self._criteria))
+        return self._tests[-1]
+
+
 class Evaluated(NamedTuple):
     """Outcome of a search with the three machines, simulated over the held-out runs.
 
@@ -245,7 +266,7 @@ def _with_ranges(evaluated: Evaluated) -> Evaluated:
     return evaluated._replace(before=evaluated.test.errors(limited, evaluated.outcome.data))
 
 
-def _evidence(evaluated: Evaluated, differing: Sequence[str]) -> Evidence:
+def _evidence(evaluated: Evaluated, differing: Sequence[str]) -> VerdictEvidence:
     """Return what the held-out runs that do not contradict the fitted ones say; all of them if all contradict."""
     validation = evaluated.test.validation
     agreeing = _agreeing(evaluated, differing)
@@ -268,7 +289,7 @@ def _evidence(evaluated: Evaluated, differing: Sequence[str]) -> Evidence:
 
     before, after = errors(evaluated.before), errors(evaluated.after)
     motion = after.motion_ratio
-    return Evidence(
+    return VerdictEvidence(
         left=finite(after.noise_ratio),
         left_before=finite(before.noise_ratio),
         motion=0.0 if math.isnan(motion) else motion,  # nothing moves
@@ -314,7 +335,9 @@ def _remaining_prediction(
     return remaining(after, before, floor)
 
 
-def _with_fast_error(evidence: Evidence, evaluated: Evaluated, differing: Sequence[str]) -> Evidence:
+def _with_fast_error(
+    evidence: VerdictEvidence, evaluated: Evaluated, differing: Sequence[str]
+) -> VerdictEvidence:
     """Return the evidence with what effects leave of fast errors, and whether they remove what they should."""
     validation = _quiet(evaluated, _agreeing(evaluated, differing))
     removed = right = 0.0

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...preparation.dataset import Dataset
-from ...preparation.excerpt import representative_part
+from ...preparation.excerpt import is_long, representative_part
 from ..budget import LAST_STAGE_END, Budget, BudgetEndedError
 from ..evidence.tried_effects import Log, SelectedEffect
 from ..fit.estimation import Fit, prediction_cost
@@ -23,7 +23,7 @@ from ..judge.verdict import description_helps, forces_contradict, is_worse_than,
 from ..predict.prediction import SIMULATION
 from ..search.forward_selection import EffectSearch
 from ..search.outcome import VoltagesChangeError, without_names
-from .evaluation import Evaluated, HeldOutTest, with_certain_effects
+from .evaluation import Evaluated, HeldOutTest, HeldOutTests, with_certain_effects
 from .machine_errors import ModelEvaluation, error_ratio
 
 _MAX_EFFECTS = 2  # Each further one takes longer and removes less.
@@ -89,24 +89,29 @@ class Delivered(NamedTuple):
     remarks: tuple[str, ...]
 
 
-def time_after_search(test: HeldOutTest, plain: PlainFit | None, fitted: Dataset) -> float:
-    """Evaluate the machines that are known before the search, and estimate how long what follows it takes.
+def reserve_time_after_search(
+    budget: Budget, tests: HeldOutTests, plain: PlainFit | None, fitted: Dataset, held_out: Dataset
+) -> None:
+    """Reserve processor time for what follows a search, if a held-out run is long.
 
-    The refitted and the corrected machine are evaluated then. The delivered one gets the starts of the fitted runs, its
+    The machines that are known before the search are evaluated, to measure how long that takes. After the search, the
+    refitted and the corrected machine are evaluated. The delivered one gets the starts of the fitted runs, its
     uncertainty and the report, which takes for each run as long as an evaluation does.
 
     Args:
-        test: Test by which machines are compared; it remembers these evaluations.
+        tests: Tests by which machines are compared; they remember these evaluations.
         plain: Plain fit to the fitted runs, if there is one.
         fitted: Runs that are fitted.
-
-    Returns:
-        Processor time, s.
+        held_out: Held-out runs, prepared.
     """
+    session, names = tests.session, [run.name for run in held_out.runs]
+    if not any(is_long(run, session.machine) for run in session.recordings if run.name in names):
+        return
+    test = tests.of(held_out)
     plain_fits = () if plain is None else (*plain.simpler, plain)
-    for machine in (test.session.machine, *(p.machine for p in plain_fits)):
+    for machine in (session.machine, *(p.machine for p in plain_fits)):
         test.errors(machine, fitted)
-    return test.seconds() * (2.0 + _runs_to_report(test, fitted))
+    budget.reserve(test.seconds() * (2.0 + _runs_to_report(test, fitted)))
 
 
 def _runs_to_report(test: HeldOutTest, fitted: Dataset) -> float:

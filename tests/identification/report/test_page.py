@@ -24,10 +24,11 @@ from hframe_gym.identification.report.document import Hint
 from hframe_gym.identification.report.experiment_design import FILE
 from hframe_gym.identification.report.page import build_report
 from hframe_gym.identification.report.result import Unfinished, Verdict
+from hframe_gym.identification.report.rows import parameter_rows
 from hframe_gym.identification.report.saved_result import read_report
 from hframe_gym.identification.validate.machine_errors import PredictionErrors
 from hframe_gym.identification.validate.simpler_machines import PlainResult
-from hframe_gym.machine import Uncertainty
+from hframe_gym.machine import BUILTIN_MACHINES, Uncertainty
 from hframe_gym.version import __version__
 from tests.identification.report.axis_results import PLAN, STRIBECK, TABLE, page_of, result_of
 from tests.identification.single_axis import AXIS
@@ -52,6 +53,16 @@ def test_the_page_describes_an_effect(data: Dataset, tmp_path: Path) -> None:
         *("correlations", "coverage", "effects", "error_by_channel"),
         *("error_over_motion", "error_over_time", "residual_force"),
     }
+
+
+def test_a_parameter_without_unit_shows_none() -> None:
+    servo = BUILTIN_MACHINES["servo"]()
+    identified = servo.replace(
+        uncertainty=Uncertainty(tuple(servo.parameters), np.eye(len(servo.parameters)))
+    )
+    units = {row.name: row.unit for row in parameter_rows(identified, servo)}
+    assert "" in units.values()
+    assert not {"1", "-"} & set(units.values())
 
 
 @pytest.mark.usefixtures("without_drawing")

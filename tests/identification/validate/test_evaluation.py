@@ -15,7 +15,7 @@ from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import SelectionCriteria, identify, prepare
 from hframe_gym.identification.fit.missing_force import Dependence
 from hframe_gym.identification.judge.verdict import (
-    Evidence,
+    VerdictEvidence,
     contradiction_of_names,
     contradiction_of_no_effect,
     remaining,
@@ -27,7 +27,7 @@ from hframe_gym.recordings import Recording
 from tests.identification.single_axis import AXIS, limited_runs
 
 CRITERIA = SelectionCriteria()
-EXACT = Evidence(left=1.0, left_before=1.0, motion=1e-4, lacking=1e-6, remaining_prediction=1.0)
+EXACT = VerdictEvidence(left=1.0, left_before=1.0, motion=1e-4, lacking=1e-6, remaining_prediction=1.0)
 
 
 @pytest.mark.parametrize("left", [142.0, 588.0, 23_839.0, 2.01, math.inf])
@@ -60,7 +60,7 @@ def test_no_effect_is_not_said_if_the_noise_is_as_large_as_the_motion() -> None:
 def test_effects_are_named_if_little_is_left(
     explained: bool, prediction: float, left: float, named: bool
 ) -> None:
-    evidence = Evidence(left, 1000.0, 0.01, 0.02, prediction)
+    evidence = VerdictEvidence(left, 1000.0, 0.01, 0.02, prediction)
     reason = contradiction_of_names(evidence, explained, CRITERIA)
     assert (reason == "") == named
     assert (
@@ -89,7 +89,7 @@ def test_a_fit_that_explains_everything_does_not_lead_to_no_effect() -> None:
 @pytest.mark.parametrize(("remaining_fraction", "named"), [(0.11, True), (0.26, False)])
 def test_effects_that_are_the_main_causes_may_leave_more(remaining_fraction: float, named: bool) -> None:
     """Of a real axis, 11 % of the squared error remained beside friction that was confirmed on another record."""
-    evidence = Evidence(3e5, 1e6, 0.01, 0.02, remaining_fraction, causes_named=True)
+    evidence = VerdictEvidence(3e5, 1e6, 0.01, 0.02, remaining_fraction, causes_named=True)
     assert (contradiction_of_names(evidence, False, CRITERIA) == "") == named
 
 
@@ -105,7 +105,7 @@ def test_effects_that_are_the_main_causes_may_leave_more(remaining_fraction: flo
 def test_fast_effects_are_named_beside_a_slow_force(
     causes: bool, fast: float, reduction: float, named: bool
 ) -> None:
-    evidence = Evidence(
+    evidence = VerdictEvidence(
         50.0, 50.0, 0.01, 3e-4, 0.46, causes_named=causes, remaining_fast=fast, reduction=reduction
     )
     assert (contradiction_of_names(evidence, False, CRITERIA) == "") == named

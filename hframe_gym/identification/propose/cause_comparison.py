@@ -130,41 +130,49 @@ class Signals:
         return np.repeat(np.eye(len(lengths)), lengths, axis=0)
 
 
-class Evidence:
-    """Forces or disagreements along all runs, what refitted parameters absorb of them, and causes to compare.
+class Unexplained(NamedTuple):
+    """Forces or disagreements that a machine does not explain, and how they depend on a cause.
 
-    Args:
-        signals: Variables, and the rows that are compared.
-        values: Forces or disagreements at these rows, shape (n, channels).
+    Attributes:
+        values: Forces or disagreements at the compared rows, shape (n, channels).
         noise: The part of them that noise causes, same shape.
         prompt: The same values without the lag of `filters`, to find periods and resonances, same shape.
-        absorbed: Signals of which any linear combination is removed from each channel, at all rows, shape (rows, k).
-        constants: The same, at the compared rows, shape (n, l).
         directions: Value of each channel per unit of a cause at each index, shape (channels, indices).
         filters: Numerator and denominator of the filter by which each channel follows causes; None if at once.
     """
 
+    values: Array
+    noise: Array
+    prompt: Array
+    directions: Array
+    filters: list[tuple[Array, Array]] | None = None
+
+
+class CauseComparison:
+    """Comparison of causes with what a machine does not explain, without what refitted parameters absorb of it.
+
+    Args:
+        signals: Variables, and the rows that are compared.
+        unexplained: Forces or disagreements at these rows.
+        absorbed: Signals of which any linear combination is removed from each channel, at all rows, shape (rows, k).
+        free_constants: Whether a constant of each run is removed as well, such as the zero of a sensor.
+    """
+
     def __init__(
-        self,
-        signals: Signals,
-        values: Array,
-        noise: Array,
-        prompt: Array,
-        absorbed: Array,
-        constants: Array,
-        directions: Array,
-        filters: list[tuple[Array, Array]] | None,
+        self, signals: Signals, unexplained: Unexplained, absorbed: Array, *, free_constants: bool = False
     ):
+        values, noise = unexplained.values, unexplained.noise
         # At the least a millionth of the values: data without noise have none.
         scale = np.maximum(noise.std(axis=0), 1e-6 * values.std(axis=0) + np.finfo(float).tiny)
-        self.signals, self._filters = signals, filters
-        self._directions, self._pieces = directions / scale[:, None], signals.pieces()
+        self.signals, self._filters = signals, unexplained.filters
+        self._directions, self._pieces = unexplained.directions / scale[:, None], signals.pieces()
+        constants = [signals.run_constants()] if free_constants else []
         self._bases = [
-            _orthonormal(np.hstack([self._compared(channel, absorbed), constants]))
+            _orthonormal(np.hstack([self._compared(channel, absorbed), *constants]))
             for channel in range(len(scale))
         ]
         self._values = self._without_absorbed(values / scale)
-        self._prompt = self._without_absorbed(prompt / scale)
+        self._prompt = self._without_absorbed(unexplained.prompt / scale)
         self._noise = self._without_absorbed(noise / scale)
         by_noise = float(np.sum(self._noise**2))
         self.total = float(np.sum(self._values**2))
