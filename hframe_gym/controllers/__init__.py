@@ -18,7 +18,7 @@ estimation/             state and parameters from sensors; parameters from measu
 """
 
 from ..registry import import_modules
-from .adaptive_controller import AdaptiveController, MomentumFilter, scaled_machine
+from .adaptive_controller import AdaptiveController, scaled_machine
 from .base import (
     CONTROLLERS,
     Controller,
@@ -34,6 +34,7 @@ from .control_period import period_concern, shorter_period
 from .environment_controller import EnvironmentController
 from .estimation.encoder_drift import encoders_drift
 from .estimation.estimation_model import ParameterRatios
+from .estimation.momentum_filter import MomentumFilter
 from .estimation.parameter_estimators import ParameterFilter, ParameterWindow
 from .estimation.state_estimator import StateEstimator
 from .model_based_controller import ModelBasedController

@@ -32,6 +32,7 @@ from ...dynamics import rollout
 from ..base import SIMULATION_STEP_S
 from ..models.motion_model import MotionModel
 from .estimation_model import ParameterRatios, prior_deviation
+from .recursive_least_squares import RecursiveLeastSquares
 
 LARGEST = 1.2  # limit of the logarithms: a ratio of 3.3, or the inverse
 # Of `ParameterWindow`:
@@ -179,27 +180,25 @@ class ParameterFilter(ParameterEstimator):
 
     def __init__(self, model: MotionModel, period: float, switch_s: float = 0.0) -> None:
         super().__init__(model, period, switch_s)
-        self._covariance = np.zeros((0, self.size, self.size))
+        self._least_squares = RecursiveLeastSquares(self._std)
 
     @override
     def _resize(self, batch: int) -> None:
-        self.estimates = np.zeros((batch, self.size))
-        self._covariance = np.zeros((batch, self.size, self.size))
+        self._least_squares.resize(batch)
+        self.estimates = self._least_squares.estimates
 
     @override
     def _correct(self, before: Array, after: Array, actions: Array, starts: Mask) -> None:
         simulated = self._simulate(self.estimates, before, actions)
-        innovation = after / self._state_unit - simulated[0]
+        innovation = after / self._state_unit - simulated[0]  # in units of `state_std`
         H = ((simulated[1:] - simulated[0]) / self.difference).transpose(1, 2, 0)  # (B, 2 n, size)
-        PH = self._covariance @ H.transpose(0, 2, 1)
-        S = H @ PH + np.eye(H.shape[1])  # covariance of the innovation, in units of `state_std`
-        K = np.linalg.solve(S, PH.transpose(0, 2, 1)).transpose(0, 2, 1)
-        self.estimates = np.clip(self.estimates + np.einsum("bpa,ba->bp", K, innovation), -LARGEST, LARGEST)
-        self._covariance = self._covariance - K @ PH.transpose(0, 2, 1)
+        self._least_squares.correct(innovation, H, np.ones(H.shape[1]))
+        self._least_squares.estimates = np.clip(self._least_squares.estimates, -LARGEST, LARGEST)
 
     @override
     def _restart(self, starts: Mask) -> None:
-        self.estimates[starts], self._covariance[starts] = 0.0, np.diag(self._std**2)
+        self._least_squares.restart(starts)
+        self.estimates = self._least_squares.estimates
 
 
 class ParameterWindow(ParameterEstimator):

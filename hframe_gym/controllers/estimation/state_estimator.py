@@ -37,6 +37,7 @@ from ..base import SIMULATION_STEP_S, EpisodeStarts, check_period
 from ..models.input_compensation import DeadTime
 from ..models.motion_model import MotionModel
 from .estimation_model import AugmentedParameters, MeasurementModel
+from .recursive_least_squares import kalman_gain
 
 # Squared distance of the points in standard deviations: the kurtosis of a normal distribution.
 SIGMA_SQUARED = 3.0
@@ -267,7 +268,7 @@ class StateEstimator:
         self._predicted = size, S, valid
         self._inflate(size / np.maximum(valid.sum(axis=1), 1))
         PH, S = self._innovation_covariance(valid)
-        K = np.linalg.solve(S, PH.transpose(0, 2, 1)).transpose(0, 2, 1)
+        K = kalman_gain(PH, S)
         self._mean = self._mean + np.einsum("bij,bj->bi", K, innovation)
         self._mean[:, self._logarithms] = self.augmented.clip(self._mean[:, self._logarithms])
         # Joseph's form keeps the covariance positive after corrections by almost exact measurements.
