@@ -12,8 +12,8 @@ from mujoco import mjtIntegrator as Integrators
 from mujoco import rollout as _batch
 
 from hframe_gym.arrays import Array
-from hframe_gym.exporters.mujoco_model import FRICTION, model_xml
-from hframe_gym.exporters.mujoco_model import MujocoSettings as Choice
+from hframe_gym.exporters.models.mujoco_model import FRICTION, model_xml
+from hframe_gym.exporters.models.mujoco_model import MujocoSettings as Choice
 from hframe_gym.machine import Machine, with_constant_stiffness
 
 __all__ = ["FRICTION", "INTEGRATORS", "SOLVERS", "Choice", "MujocoStage", "constant_at_center"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -11,16 +10,25 @@ from typing_extensions import override
 
 from ..machine import Machine
 from .base import EXPORTERS, Files, MachineExporter, option
-from .formula_source import C99, Formula, Parameter, write_body
-from .inverse_dynamics import BISECTIONS
-from .motion_formulas import MotionFormulas, Vectors, check_prefix, motion_formulas
+from .source.c99 import (
+    C99,
+    c_comment,
+    constants,
+    declaration,
+    definition,
+    function_text,
+    helper_functions,
+)
+from .source.formula import Formula
+from .source.inverse_dynamics import BISECTIONS
+from .source.language import write_body
+from .source.motion_formulas import MotionFormulas, Vectors, check_prefix, motion_formulas
 
 VECTORS, SEED = 200, 0
 TOLERANCE = 1e-9  # relative; the same operations in another order differ by some 1e-15
 # Errors are relative to the expected value, but at least to this fraction of the largest one: a small voltage may be
 # the difference of two large ones.
 SMALLEST_SCALE = 1e-3
-_HELPERS = {"sign": "static double {p}_sign(double x)\n{{\n    return (double)((x > 0.0) - (x < 0.0));\n}}\n"}
 
 
 @EXPORTERS.register("c")
@@ -54,17 +62,6 @@ class CExporter(MachineExporter):
         }
 
 
-def _signature(formula: Formula, prefix: str) -> str:
-    """Return the first line of a function without the brace."""
-    states = set(formula.states)
-    arguments = [
-        f"double {s.name}" if not s.size else f"{'' if s in states else 'const '}double {s.name}[{s.size}]"
-        for s in formula.inputs
-    ]
-    arguments += [f"double {s.name}[{s.size}]" for s in formula.outputs if s not in states]
-    return f"void {prefix}_{formula.name}({', '.join(arguments)})"
-
-
 def _header(motion: MotionFormulas, prefix: str) -> str:
     """Return the header file."""
     guard = f"{prefix.upper()}_H"
@@ -83,7 +80,7 @@ def _source(motion: MotionFormulas, prefix: str) -> str:
         body = write_body(amplifier, language)
         used |= body.used
         lines = [line if not line.startswith("result = ") else f"return {line[9:]}" for line in body.lines]
-        blocks.append(_block(f"static double {prefix}_amplifier_{j}(double command)", lines))
+        blocks.append(function_text(f"static double {prefix}_amplifier_{j}(double command)", lines))
         blocks.append(_inverse(prefix, j, float(motion.dynamics.limits[j])))
     for formula in motion.formulas:
         text, names = definition(formula, language)
@@ -91,45 +88,6 @@ def _source(motion: MotionFormulas, prefix: str) -> str:
         blocks.append(text)
     parts = [f'#include "{prefix}.h"\n\n#include <math.h>\n', constants(motion.parameters, used)]
     return "\n".join([*parts, *helper_functions(language), *blocks])
-
-
-def c_comment(lines: Sequence[str]) -> str:
-    """Write lines as one comment of C."""
-    return "/*\n" + "".join(f" * {line}".rstrip() + "\n" for line in lines) + " */\n"
-
-
-def constants(parameters: Iterable[Parameter], used: Collection[str]) -> str:
-    """Write the parameters whose identifiers are used as constants."""
-    return "".join(
-        f"static const double {p.identifier} = {p.value!r}; /* {p.comment} */\n"
-        for p in parameters
-        if p.identifier in used
-    )
-
-
-def helper_functions(language: C99) -> list[str]:
-    """Write the functions beyond math.h that formulas in a language use."""
-    return [_HELPERS[name].format(p=language.prefix) for name in sorted(language.helpers & set(_HELPERS))]
-
-
-def declaration(formula: Formula, prefix: str) -> str:
-    """Declare a formula as a function, after a comment that explains its arguments."""
-    signals = dict.fromkeys((*formula.inputs, *formula.outputs))
-    about = [formula.comment, "", *(f"{signal.name}: {signal.comment}" for signal in signals)]
-    return f"{c_comment(about)}{_signature(formula, prefix)};\n"
-
-
-def definition(formula: Formula, language: C99) -> tuple[str, frozenset[str]]:
-    """Define a formula as a function; return its text, and the texts of the parameters and inputs that it uses."""
-    body = write_body(formula, language)
-    unused = [s.name for s in formula.inputs if not body.used & set(s.elements()) and s not in formula.states]
-    lines = [*(f"(void){name};" for name in unused), *body.lines]
-    return f"/* {formula.comment} */\n{_block(_signature(formula, language.prefix), lines)}", body.used
-
-
-def _block(signature: str, lines: Sequence[str]) -> str:
-    """Return a function."""
-    return signature + "\n{\n" + "".join(f"    {line}\n" for line in lines) + "}\n"
 
 
 def _inverse(prefix: str, j: int, limit: float) -> str:
@@ -171,7 +129,7 @@ def _test_bench(motion: MotionFormulas, prefix: str) -> str:
         calls += _comparison(formula, vectors, prefix)
     lines = ["double worst = 0.0;", "int i, k;", *calls]
     lines += [f"return worst <= {TOLERANCE!r} ? 0 : 1;"]
-    return "\n".join([*blocks, _block("int main(void)", lines)])
+    return "\n".join([*blocks, function_text("int main(void)", lines)])
 
 
 def _comparison(formula: Formula, vectors: Vectors, prefix: str) -> list[str]:

@@ -23,8 +23,8 @@ from ..dynamics.simulation import LONGEST_STEP
 from ..errors import InputError
 from ..machine import Machine, rest_positions_per_axis
 from .base import EXPORTERS, Files, MachineExporter, indented, plain, refuse_drive_laws, require_linear_axes
-from .c_source import c_comment, constants, declaration, definition, helper_functions
-from .formula_source import C99, Formula, Signal, parameters_of, trace_formula
+from .source.c99 import C99, c_comment, constants, declaration, definition, helper_functions
+from .source.formula import Formula, Signal, parameters_of, trace_formula
 
 _FIRST_INPUT, _FIRST_OUTPUT, _FIRST_START = 1, 1001, 2001  # value references
 _UNITS = {"m": 'm="1"', "rad": 'rad="1"', "V": 'kg="1" m="2" s="-3" A="-1"', "s": 's="1"'}

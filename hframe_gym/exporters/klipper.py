@@ -8,7 +8,7 @@ from typing_extensions import override
 
 from ..machine import Machine
 from .base import EXPORTERS, Files, commented, option
-from .input_shapers import InputShaperExporter, Shaper, impulse_table
+from .models.input_shapers import InputShaperExporter, Shaper, impulse_table
 
 
 @EXPORTERS.register("klipper")

@@ -8,7 +8,7 @@ from typing_extensions import override
 
 from ..machine import Machine
 from .base import EXPORTERS, Files, commented
-from .input_shapers import InputShaperExporter
+from .models.input_shapers import InputShaperExporter
 
 
 @EXPORTERS.register("marlin")

@@ -10,7 +10,7 @@ from typing_extensions import override
 from ..errors import InputError
 from ..machine import Machine
 from .base import EXPORTERS, Files, MachineExporter, indented, operating_point, option, xml_comment
-from .mujoco_model import MujocoSettings, model_xml
+from .models.mujoco_model import MujocoSettings, model_xml
 
 _STEP_LIMITS = (1e-6, 0.1)  # s
 

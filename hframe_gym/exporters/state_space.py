@@ -11,7 +11,7 @@ from typing_extensions import override
 
 from ..machine import Machine, rest_positions_per_axis
 from .base import EXPORTERS, Files, MachineExporter, commented, json_text, operating_point, option, plain
-from .linear_model import LinearModel, Mode, linear_model, modes
+from .models.linear_model import LinearModel, Mode, linear_model, modes
 
 
 @EXPORTERS.register("state-space")

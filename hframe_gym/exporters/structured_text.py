@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 from typing_extensions import override
 
+from ..errors import InputError
 from ..machine import Machine
 from .base import EXPORTERS, Files, MachineExporter, option
-from .formula_source import Formula, Parameter, Signal, StructuredText, write_body
-from .inverse_dynamics import BISECTIONS
-from .motion_formulas import MotionFormulas, check_prefix, motion_formulas
+from .source.formula import Formula, Parameter, Signal
+from .source.inverse_dynamics import BISECTIONS
+from .source.language import Language, unbracketed, write_body
+from .source.motion_formulas import MotionFormulas, check_prefix, motion_formulas
 
 # Functions that the standard library lacks.
 _HELPERS = {
@@ -20,6 +23,43 @@ _HELPERS = {
     "floor": "SEL(TRUNC(x) > x, TRUNC(x), TRUNC(x) - 1)",
     "copysign": "SEL(y < 0.0, ABS(x), -ABS(x))",
 }
+
+
+class StructuredText(Language):
+    """Structured Text of IEC 61131-3 with LREAL."""
+
+    functions: ClassVar[Mapping[str, str]] = {
+        **{name: name.upper() for name in ("exp", "sin", "cos", "sqrt")},
+        "log": "LN",
+        "absolute": "ABS",
+        "minimum": "MIN",
+        "maximum": "MAX",
+    }
+    signs: ClassVar[Mapping[str, str]] = {"&": "AND", "|": "OR", "==": "=", "!=": "<>"}
+
+    @override
+    def number(self, text: str) -> str:
+        """Return a number; a literal of Structured Text has a decimal point."""
+        mantissa, sign, exponent = text.partition("e")
+        return (mantissa if "." in mantissa else f"{mantissa}.0") + sign.upper() + exponent
+
+    @override
+    def choice(self, condition: str, yes: str, no: str) -> str:
+        """Return a selection, whose first value is that of a false condition."""
+        return f"SEL({', '.join(map(unbracketed, (condition, no, yes)))})"
+
+    @override
+    def operation(self, name: str, operands: Sequence[str]) -> str:
+        if name == "rint":
+            raise InputError(
+                "Structured Text has no rounding to even, which a formula of this machine's effects uses"
+            )
+        return super().operation(name, operands)
+
+    @override
+    def assignment(self, target: str, value: str, *, kind: str) -> str:
+        """Return an assignment; names are declared before the body."""
+        return f"{target} := {value};"
 
 
 @EXPORTERS.register("st")

@@ -11,7 +11,7 @@ from typing_extensions import override
 from ..errors import InputError
 from ..machine import Coordinate, Machine, motion_limits, rigid_motions
 from .base import EXPORTERS, Files, MachineExporter, axis_range, indented, xml_comment
-from .mujoco_model import carrier_and_riders, tool_coordinates
+from .models.mujoco_model import carrier_and_riders, tool_coordinates
 
 _UNLIMITED_SPEED = 10.0  # m/s, for machines without friction and back-EMF, whose speed has no limit
 

@@ -20,8 +20,8 @@ from hframe_gym.effects import EFFECTS
 from hframe_gym.errors import InputError
 from hframe_gym.exporters import EXPORTERS
 from hframe_gym.exporters.c_source import TOLERANCE
-from hframe_gym.exporters.inverse_dynamics import InverseDynamics
-from hframe_gym.exporters.motion_formulas import motion_formulas
+from hframe_gym.exporters.source.inverse_dynamics import InverseDynamics
+from hframe_gym.exporters.source.motion_formulas import motion_formulas
 from hframe_gym.machine import Machine
 from hframe_gym.recordings import load_machine
 from tests.effects.one_of_each import CASES

@@ -10,8 +10,8 @@ import pytest
 from scipy.signal import StateSpace, lsim
 
 from hframe_gym.exporters import EXPORTERS
-from hframe_gym.exporters.input_shapers import SHAPERS, AxisMode, InputShaperExporter, Shaper, impulses
-from hframe_gym.exporters.linear_model import linear_model
+from hframe_gym.exporters.models.input_shapers import SHAPERS, AxisMode, InputShaperExporter, Shaper, impulses
+from hframe_gym.exporters.models.linear_model import linear_model
 from hframe_gym.machine import Machine, Uncertainty
 from hframe_gym.recordings import load_machine
 

@@ -14,7 +14,7 @@ from scipy.signal import StateSpace, lsim
 from hframe_gym.dynamics import linearize, mode_frequencies, simulate
 from hframe_gym.effects import EFFECTS
 from hframe_gym.exporters import EXPORTERS
-from hframe_gym.exporters.linear_model import axis_modes, linear_model, modes
+from hframe_gym.exporters.models.linear_model import axis_modes, linear_model, modes
 from hframe_gym.machine import Machine
 from hframe_gym.recordings import load_machine
 from tests.effects.one_of_each import CASES

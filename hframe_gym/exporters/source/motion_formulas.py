@@ -1,4 +1,4 @@
-"""Formulas of a machine for a motion controller, traced for the languages of `formula_source`, and test vectors.
+"""Formulas of a machine for a motion controller, traced for the languages of controllers, and test vectors.
 
 feedforward             voltages of a motion of the tool
 friction_compensation   the part of them against dry friction and forces of effects
@@ -16,14 +16,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..arrays import Array
-from ..controllers import TextbookPID
-from ..dynamics.elementwise import absolute, maximum, minimum, where
-from ..dynamics.symbolic.expressions import Expression
-from ..errors import InputError
-from ..machine import Machine, motion_limits
-from .base import axis_range, plain
-from .formula_source import Formula, Parameter, Signal, parameters_of, trace_formula
+from ...arrays import Array
+from ...controllers import TextbookPID
+from ...dynamics.elementwise import absolute, maximum, minimum, where
+from ...dynamics.symbolic.expressions import Expression
+from ...errors import InputError
+from ...machine import Machine, motion_limits
+from ..base import axis_range, plain
+from .formula import Formula, Parameter, Signal, parameters_of, trace_formula
 from .inverse_dynamics import InverseDynamics
 
 _DEFAULT_SPEED = 1.0  # m/s, where the machine states no highest speed

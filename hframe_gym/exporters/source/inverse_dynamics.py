@@ -21,12 +21,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import Array
-from ..dynamics import Equations, MotionPoint
-from ..dynamics.elementwise import sign
-from ..errors import InputError
-from ..machine import AppliedEffect, Machine, argument_names, rest_positions_per_axis
-from .base import refuse_drive_laws, require_linear_axes
+from ...arrays import Array
+from ...dynamics import Equations, MotionPoint
+from ...dynamics.elementwise import sign
+from ...errors import InputError
+from ...machine import AppliedEffect, Machine, argument_names, rest_positions_per_axis
+from ..base import refuse_drive_laws, require_linear_axes
 
 Values = Mapping[str, Any] | None
 BISECTIONS = 64  # halvings of the range of a command: the result is exact to rounding

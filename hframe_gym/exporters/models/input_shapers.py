@@ -25,10 +25,10 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from ..arrays import Array
-from ..errors import InputError
-from ..machine import Machine, standard_deviations
-from .base import MachineExporter, operating_point, option
+from ...arrays import Array
+from ...errors import InputError
+from ...machine import Machine, standard_deviations
+from ..base import MachineExporter, operating_point, option
 from .linear_model import axis_modes
 
 Shaper = Literal["zv", "mzv", "ei"]

@@ -15,11 +15,11 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from ..arrays import Array
-from ..dynamics import belt_states
-from ..errors import InputError
-from ..machine import Coordinate, Machine
-from .base import axis_range, refuse_drive_laws, require_linear_axes
+from ...arrays import Array
+from ...dynamics import belt_states
+from ...errors import InputError
+from ...machine import Coordinate, Machine
+from ..base import axis_range, refuse_drive_laws, require_linear_axes
 
 # MuJoCo's friction is a soft constraint: it brings a velocity to zero within the time constant of `solreffriction` (20
 # ms by default) and creeps according to the impedance of `solimpfriction`. `default` uses these defaults. `stiff` is as

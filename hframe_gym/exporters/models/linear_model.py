@@ -14,10 +14,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import Array
-from ..dynamics import Equations, linearize
-from ..dynamics.physics.linearization import evaluate_beside_rest
-from ..machine import AppliedEffect, Machine
+from ...arrays import Array
+from ...dynamics import Equations, linearize
+from ...dynamics.physics.linearization import evaluate_beside_rest
+from ...machine import AppliedEffect, Machine
 
 Complex = NDArray[np.complex128]
 # Steps of the central differences: belt travel in m, its rate in m/s, voltage in V. Over them, forces deviate from a
