@@ -3,8 +3,8 @@
 A run writes to its folder the agent with the best evaluation so far (agent.json, machine.json, policy.safetensors), its
 card (card.json, README.md), tensorboard/, and for `resume` checkpoint.zip, replay.pkl and environment.pkl. These three
 are pickles, which execute code when they are loaded: they are signed, and only files that this installation wrote are
-loaded (see agent_files.py). After each evaluation all files but the logs are replaced together. A run may therefore be
-killed at any time; `resume` continues it as if it had not been interrupted.
+loaded (`checkpoint_signature`). After each evaluation all files but the logs are replaced together. A run may therefore
+be killed at any time; `resume` continues it as if it had not been interrupted.
 """
 
 from __future__ import annotations
@@ -25,14 +25,8 @@ from ..files import atomic_file, complete_commit, locked_folder, newest, output_
 from ..machine import Machine
 from ..recordings import load_machine
 from .agent import Agent, load_weights, policy_class, policy_keywords, same_parameters
-from .agent_files import (
-    RESUME_FILES,
-    SCHEMA,
-    read_training_card,
-    refuse_to_replace,
-    refuse_unsigned,
-    sign_checkpoint,
-)
+from .agent_files import RESUME_FILES, SCHEMA, read_training_card, refuse_to_replace
+from .checkpoint_signature import refuse_unsigned, sign_checkpoint
 from .controller_source import start_agent_folder
 from .features import feature_parameters
 from .model_card import EVALUATION_EPISODES, improves, progress_line, score_agent, write_card

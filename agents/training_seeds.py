@@ -12,7 +12,8 @@ from ..files import files_of, newest, output_batch, write_files
 from ..machine import Machine
 from ..parallel import map_tasks
 from ..recordings import load_machine
-from .agent_files import RESUME_FILES, refuse_to_replace, sign_checkpoint
+from .agent_files import RESUME_FILES, refuse_to_replace
+from .checkpoint_signature import sign_checkpoint
 from .optional_dependencies import require_training_packages
 from .recipe import Recipe, build_task, load_recipe, require_transfers
 from .training import Log, Progress, train

@@ -16,6 +16,7 @@ from .metrics import (
 from .minari_export import ExportedDataset, RandomActions, dataset_controller, export_dataset
 from .package_versions import installed_versions, result_versions
 from .plots import plot_episode, save_plot
+from .protocol_entries import Entry, make_entry, run_protocol
 from .protocol_results import (
     Comparison,
     ResultFile,
@@ -28,7 +29,7 @@ from .protocol_results import (
     result_content,
     write_result,
 )
-from .protocols import FIXED_OPTIONS, PROTOCOLS, Entry, Protocol, get_protocol, make_entry, run_protocol
+from .protocols import FIXED_OPTIONS, PROTOCOLS, Protocol, get_protocol
 from .reported_scores import (
     PATH_ERRORS,
     ratio_to_bounds,

@@ -27,7 +27,8 @@ from ..errors import InputError
 from ..files import write_text
 from .metrics import BANDS, BOUND_BAND, ratio_of_means, stored_bounds
 from .package_versions import result_versions
-from .protocols import Draws, Entry, Protocol, get_protocol
+from .protocol_entries import Entry
+from .protocols import Draws, Protocol, get_protocol
 from .runner import SAMPLES_PER_PERIOD
 
 SCHEMA = 2

@@ -8,8 +8,7 @@ import pytest
 from hframe_gym.agents import Agent, AgentSource, shipped_agent_folder, shipped_agent_names
 from hframe_gym.envs import Reach
 from hframe_gym.errors import InputError
-from hframe_gym.evaluation import Scenario, get_protocol, make_controller
-from hframe_gym.evaluation.protocols import make_entry
+from hframe_gym.evaluation import Scenario, get_protocol, make_controller, make_entry
 
 
 @pytest.mark.parametrize(("name", "expected"), [("ppo", "ppo-seed0"), ("sac-seed2", "sac-seed2")])

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from hframe_gym.agents import train
-from hframe_gym.agents.agent_files import key_file, refuse_unsigned, sign_checkpoint
+from hframe_gym.agents.checkpoint_signature import key_file, refuse_unsigned, sign_checkpoint
 from hframe_gym.errors import InputError
 from hframe_gym.recordings.machine_file import TABLES
 

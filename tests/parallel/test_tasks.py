@@ -17,7 +17,7 @@ import pytest
 import typer
 
 from hframe_gym.agents import load_recipe, train, train_seeds
-from hframe_gym.agents.agent_files import refuse_unsigned
+from hframe_gym.agents.checkpoint_signature import refuse_unsigned
 from hframe_gym.cli.application import CommandWithChoices
 from hframe_gym.cli.options import RayOption
 from hframe_gym.errors import InputError
