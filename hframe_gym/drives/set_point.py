@@ -41,6 +41,22 @@ def _limited(value: Any, limit: Any) -> Any:
     return minimum(maximum(value, -limit), limit)
 
 
+def _limited_mean(first: Any, last: Any, limit: Any) -> Any:
+    """Return the mean of a value within [-limit, limit] while the value without the limit changes linearly in time.
+
+    A step in which the limit is reached or left has another mean than its middle has value: at 0.25 ms, that shook a
+    printer's tool by 0.07 m/s^2, half of an accelerometer's noise.
+    """
+    mean = 0.5 * (first + last)
+    for direction in (1.0, -1.0):
+        excess = [direction * value - limit for value in (first, last)]
+        beyond = sum(maximum(value, 0.0) for value in excess)
+        mean = mean - direction * 0.5 * beyond * beyond / maximum(
+            sum(map(absolute, excess)), _SMALLEST_DIVISOR
+        )
+    return mean
+
+
 def _wanted_torque(error: Any, z: Any, N: Any, speed_gain: Any, integral_rate: Any) -> Any:
     """Return the torque of the motor shaft that the loop of the speed wants for an error of the speed, Nm."""
     return speed_gain * N * (error + integral_rate * z)
@@ -80,9 +96,12 @@ def _initial_spread(level, N, speed_gain, integral_rate):  # type: ignore[no-unt
     return where(integral_rate > 0.0, level / maximum(rate, _SMALLEST_DIVISOR), 0.0)
 
 
-def _speed_torque(V, v, z, N, speed_gain, integral_rate, torque_limit):  # type: ignore[no-untyped-def]
-    """Return the torque of the motor shaft, Nm, of a drive that follows the speed V, m/s or rad/s."""
-    return _limited(_wanted_torque(V - v, z, N, speed_gain, integral_rate), torque_limit)
+def _speed_torque(V, v, dv, z, N, speed_gain, integral_rate, torque_limit):  # type: ignore[no-untyped-def]
+    """Return the mean torque of the motor shaft, Nm, of a drive that follows the speed V, m/s or rad/s."""
+    first, last = (
+        _wanted_torque(V - v - part * dv, z, N, speed_gain, integral_rate) for part in (-0.5, 0.5)
+    )
+    return _limited_mean(first, last, torque_limit)
 
 
 def _next_speed_integral(z, V, dq, dt, dv, N, speed_gain, integral_rate, torque_limit):  # type: ignore[no-untyped-def]
@@ -91,11 +110,15 @@ def _next_speed_integral(z, V, dq, dt, dv, N, speed_gain, integral_rate, torque_
 
 
 def _position_torque(  # type: ignore[no-untyped-def]
-    V, q, v, z, N, position_gain, speed_limit, speed_gain, integral_rate, torque_limit
+    V, q, v, dq, dv, z, N, position_gain, speed_limit, speed_gain, integral_rate, torque_limit
 ):
-    """Return the torque of the motor shaft, Nm, of a drive that follows the position V, m or rad."""
-    w = _limited(position_gain * (V - q), speed_limit)
-    return _limited(_wanted_torque(w - v, z, N, speed_gain, integral_rate), torque_limit)
+    """Return the mean torque of the motor shaft, Nm, of a drive that follows the position V, m or rad."""
+
+    def wanted(part: float) -> Any:
+        w = _limited(position_gain * (V - q - part * dq), speed_limit)
+        return _wanted_torque(w - v - part * dv, z, N, speed_gain, integral_rate)
+
+    return _limited_mean(wanted(-0.5), wanted(0.5), torque_limit)
 
 
 def _next_position_integral(  # type: ignore[no-untyped-def]

@@ -274,7 +274,8 @@ def _forces_at_corrected_point(
     """Return the forces, the Coulomb friction forces, N, and the effects' inputs in step 2 of `reference_step`."""
     states = dict(zip(equations.states, effect_state, strict=False))
     travel = [p + dp for p, dp in zip(half_way_travel, correction, strict=True)]
-    point = MotionPoint(travel, mean_speed, time, states, half_step)
+    gained = [6.0 / half_step * dp for dp in correction]
+    point = MotionPoint(travel, mean_speed, time, states, half_step, gained)
     motor_voltages = equations.motor_voltages(voltage)
     if equations.nonlinear_belts:
         belt_forces = equations.belt_forces(point, equations.belt_states(point))

@@ -32,7 +32,7 @@ HOOKS: Mapping[str, tuple[str, ...]] = {
     "viscous": ("b", "direction"),
     "voltage": ("V",),
     "delay": (),
-    "current": ("i", "z", "V", "q", "v", "N", "R"),
+    "current": ("i", "z", "V", "q", "v", "dq", "dv", "N", "R"),
     "torque": ("i", "q"),
     "tension": ("s", "rate", "k", "per_radius"),
     "energy_slope": ("s", "k"),
@@ -135,7 +135,7 @@ class Effect:
     viscous             viscous coefficient of the coordinate, Ns/m or Nms           b, direction
     voltage             voltage that reaches the drive, V                            V
     delay               delay of the drive's voltage, s
-    current             current of the drive, A                                      i, z, V, q, v, N, R
+    current             current of the drive, A (the mean over a step)               i, z, V, q, v, dq, dv, N, R
     torque              current that makes torque without the effect, A              i, q
     tension             tension of a belt, N                                         s, rate, k, per_radius
     energy_slope        derivative of the belt's energy by its stiffness, m^2        s, k
@@ -163,7 +163,8 @@ class Effect:
       was switched on, s; dt: length of a step, s; dq: distance that the coordinate moves in dt, m or rad;
       dv: change of its speed in dt, m/s or rad/s, 0 where it is not known.
     - Drive: V: voltage, V; i: current by Ohm's law, A (for `torque`, with the effects on it); q, v: position and speed
-      of its coordinate; N, R: its gear ratio and resistance, ohm; power: sum of V i by Ohm's law over the drives on
+      of its coordinate, for `current` in the middle of a step in which they change by dq and dv, both 0 for the current
+      at an instant; N, R: its gear ratio and resistance, ohm; power: sum of V i by Ohm's law over the drives on
       which the effect acts, W; stall_power: this sum if they stood still, W. For `initial_spread`, i is the current at
       standstill and the rated voltage, level that of the coordinate at the site without effects. Belt: s, rate, k:
       extension, m, its rate, m/s, stiffness, N/m (per_radius only for a belt that `structure` adds behind a drive).

@@ -196,7 +196,8 @@ class StepTrace:
         with trace.section("2. forces at the corrected point", "corrected_"):
             corrected = [q + dq for q, dq in zip(half_way, correction, strict=True)]
             mean_speed = [fma(6.0 / h, dq, v) for v, dq in zip(self.speed, correction, strict=True)]
-            point = MotionPoint(corrected, mean_speed, self.time + half, self.effect_states, half)
+            gained = [12.0 / h * dq for dq in correction]
+            point = MotionPoint(corrected, mean_speed, self.time + half, self.effect_states, half, gained)
             if equations.nonlinear_belts:
                 belt_forces = equations.belt_forces(point, equations.belt_states(point))
                 drive_and_belts = self._drive_and_belt_forces(belt_forces, motor_voltages)

@@ -132,8 +132,8 @@ class Equations(SignalEquations):
             given = {"i": current, "V": motor_voltages[j]}
             if "power" in of_state:
                 given |= self._drawn_power(e, point, motor_voltages)
-            # `effect_state` and `next_state` know the speed.
-            arguments[k] = self._drive_quantities(j, point, given, {*of_state} - {"v"})
+            # `effect_state` and `next_state` know the speed and the changes in their time.
+            arguments[k] = self._drive_quantities(j, point, given, {*of_state} - {"v", "dq", "dv"})
             quantities = self._drive_quantities(j, point, given, of_current)
             quantities["z"] = self.effect_state(k, point, **arguments[k])
             current = named("current", k, self.evaluate(e, "current", quantities))
@@ -142,11 +142,13 @@ class Equations(SignalEquations):
     def _drive_quantities(
         self, j: int, point: MotionPoint, given: Mapping[str, Value], names: Collection[str]
     ) -> dict[str, Value]:
-        """Return what has one of the names: given quantities, position and speed at drive j, its constants."""
+        """Return what has one of the names: given quantities, the motion at drive j, its constants."""
         i = self.drive_coordinates[j]
         quantities: dict[str, Callable[[], Value]] = {
             "q": lambda: self.position(point, i),
             "v": lambda: self.speed(point, i),
+            "dq": lambda: 0.0 if point.elapsed is None else 2.0 * point.elapsed * self.speed(point, i),
+            "dv": lambda: point.gained[i] * self.per_radius(i) if point.gained else 0.0,
             "N": lambda: self.drives[j].gear_ratio,
             "R": lambda: self.drives[j].resistance,
         }

@@ -28,7 +28,9 @@ class MotionPoint:
         time: Time since the machine was switched on, s.
         effect_states: State of each effect that has one (bristle deflection, motor current, ...), in its unit, by its
             index in `ParameterizedMachine.instances`.
-        elapsed: Time that has passed since `effect_states` were valid, s; None if they are those of this point.
+        elapsed: Time that has passed since `effect_states` were valid, s; None if they are those of this point. In a
+            step of the integrator it is half of the step, of which this point is the middle.
+        gained: Change of `speed` in this step, m/s; None: not known, and taken as zero.
     """
 
     travel: Sequence[Value]
@@ -36,6 +38,7 @@ class MotionPoint:
     time: Value = 0.0
     effect_states: Mapping[int, Value] = field(default_factory=dict)
     elapsed: Value | None = None
+    gained: Sequence[Value] | None = None
 
 
 class ParameterizedMachine:

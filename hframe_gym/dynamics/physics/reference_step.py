@@ -55,7 +55,8 @@ def reference_step(
     shift = [h * h / 12.0 * a[i] for i in coordinates]
     corrected = [half_way[i] + shift[i] for i in coordinates]
     mean_speed = [v[i] + 0.5 * h * a[i] for i in coordinates]
-    point = MotionPoint(corrected, mean_speed, state.time + 0.5 * h, state.effect_states, 0.5 * h)
+    gained = [h * a[i] for i in coordinates]
+    point = MotionPoint(corrected, mean_speed, state.time + 0.5 * h, state.effect_states, 0.5 * h, gained)
     if equations.nonlinear_belts:
         forces = equations.add_drive_forces(
             equations.belt_forces(point, equations.belt_states(point)), motor_voltages
