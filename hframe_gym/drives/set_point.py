@@ -98,9 +98,7 @@ def _initial_spread(level, N, speed_gain, integral_rate):  # type: ignore[no-unt
 
 def _speed_torque(V, v, dv, z, N, speed_gain, integral_rate, torque_limit):  # type: ignore[no-untyped-def]
     """Return the mean torque of the motor shaft, Nm, of a drive that follows the speed V, m/s or rad/s."""
-    first, last = (
-        _wanted_torque(V - v - part * dv, z, N, speed_gain, integral_rate) for part in (-0.5, 0.5)
-    )
+    first, last = (_wanted_torque(V - v - part * dv, z, N, speed_gain, integral_rate) for part in (-0.5, 0.5))
     return _limited_mean(first, last, torque_limit)
 
 

@@ -76,6 +76,16 @@ def test_the_generated_step_is_the_specified_one(kind: str) -> None:
     assert largest_difference(machine) < 1e-12
 
 
+def test_a_torque_limit_that_every_row_reaches_and_leaves_needs_no_short_steps() -> None:
+    """A printer's motors follow positions that are held for 1 ms, each of which asks for more than their torque."""
+    servo = Servo(position_gain=5000.0, speed_gain=5e-3, largest_torque=0.6)
+    machine = servo_machine("position", servo).replace({"shaft.mass": 2e-5})
+    time_s = 1e-3 * np.arange(300)
+    command = np.interp(time_s, [0.0, 0.05, 0.15, 0.2, 0.3], [0.0, 0.0, 5.0, 5.0, -2.5])[:, None]
+    fine, usual = (simulate(machine, time_s, command, longest_step=h).velocities for h in (5e-6, 0.25e-3))
+    assert np.std(usual - fine) < 8e-3 * np.std(fine)  # 14e-3 with the torque in the middle of each step
+
+
 def recordings_of(kind: str, servo: Servo, sensors: tuple[Sensor, ...]) -> list[Recording]:
     """Return recordings of the independent simulator with rounded measurements of the angle and of the current."""
     recordings = []
