@@ -22,9 +22,11 @@ from rich.console import Console
 from rich.table import Table
 
 from hframe_gym import agents
-from hframe_gym.cli import tables as cli_tables
 from hframe_gym.cli.control_commands import training_proposal
 from hframe_gym.cli.options import CONTROL_PERIOD
+from hframe_gym.cli.tables.identification import effect_lines, identification_table
+from hframe_gym.cli.tables.machines import effect_table, machine_table
+from hframe_gym.cli.tables.scores import BANDS, protocol_tables, score_table
 from hframe_gym.controllers import CONTROLLERS, ModelBasedController
 from hframe_gym.data_validation import Finding, print_findings
 from hframe_gym.effects import EFFECTS
@@ -306,7 +308,7 @@ def broken_table() -> None:
 def test_an_internal_error_is_one_line_with_exit_code_1(
     hframe_command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hframe_gym.cli.tables.effect_table", broken_table)
+    monkeypatch.setattr("hframe_gym.cli.tables.machines.effect_table", broken_table)
     assert_refused(
         hframe_command("effects"), "internal error", "HFRAME_DEBUG=1", "KeyError: 'a defect'", code=1
     )
@@ -315,7 +317,7 @@ def test_an_internal_error_is_one_line_with_exit_code_1(
 def test_debugging_shows_the_traceback_of_an_internal_error(
     hframe_command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hframe_gym.cli.tables.effect_table", broken_table)
+    monkeypatch.setattr("hframe_gym.cli.tables.machines.effect_table", broken_table)
     monkeypatch.setenv("HFRAME_DEBUG", "1")
     with pytest.raises(KeyError, match="a defect"):
         hframe_command("effects")
@@ -442,8 +444,8 @@ def printed(table: Table, width: int) -> str:
 @pytest.mark.parametrize("width", [80, 60])
 @pytest.mark.parametrize("metric", ["settling_s", "contour_mm"])
 def test_scores_are_not_cut(metric: str, width: int) -> None:
-    success = {band: {"1mm": 1.0, "0.2mm": 0.998, "0.05mm": 0.125}[band] for band in cli_tables.BANDS}
-    keys = cli_tables.BANDS if metric == "settling_s" else ("rms", "max")
+    success = {band: {"1mm": 1.0, "0.2mm": 0.998, "0.05mm": 0.125}[band] for band in BANDS}
+    keys = BANDS if metric == "settling_s" else ("rms", "max")
     errors = {key: {"mean": 1.2345 + i} for i, key in enumerate(keys)}
     score = {"success": success, metric: errors, "tracking_mm": errors, "final_error_mm": {"mean": 0.0123}}
     names = ("pid", "my_package.my_controllers:a-controller")
@@ -454,9 +456,7 @@ def test_scores_are_not_cut(metric: str, width: int) -> None:
         "randomize": "default",
         "sensors": "state",
     }
-    text = printed(
-        cli_tables.score_table({**scores, "seed": 0, "controllers": dict.fromkeys(names, score)}), width
-    )
+    text = printed(score_table({**scores, "seed": 0, "controllers": dict.fromkeys(names, score)}), width)
     assert "pid" in text.split()
     for number in ("100.0", "99.8", "12.5", *(f"{cell['mean']:.3f}" for cell in errors.values())):
         assert text.count(number) >= len(names)
@@ -477,7 +477,7 @@ def test_a_band_in_which_nothing_settles_has_no_settling_time() -> None:
         "sensors": "state",
         "seed": 0,
     }
-    text = printed(cli_tables.score_table({**scores, "controllers": {"idle": score}}), 80)
+    text = printed(score_table({**scores, "controllers": {"idle": score}}), 80)
     assert text.split()[-8:] == ["50.0", "0.0", "0.0", "1.500", "-", "-", "-", "2.26"]
     part = {f"settling_s.{band}": {"success": bands[band], "mean": 1.5, "ci95": (1.4, 1.5)} for band in bands}
     result = {
@@ -485,7 +485,7 @@ def test_a_band_in_which_nothing_settles_has_no_settling_time() -> None:
         "entry": {"name": "idle"},
         "scores": {"reach": {"final_error_mm": left, **part}},
     }
-    (table,) = cli_tables.protocol_tables([result])
+    (table,) = protocol_tables([result])
     # Nor a ratio to the bound.
     assert printed(table, 80).split()[-7:] == ["idle", "50.0", "0.0", "0.0", "-", "-", "2.26"]
 
@@ -502,7 +502,7 @@ def test_errors_of_an_identification_are_not_cut(width: int) -> None:
     errors = {channel: {"rmse": 1.2345e-5, "noise_ratio": 1234.5} for channel in channels} | {
         "force_error": 0.5
     }
-    text = printed(cli_tables.identification_table(report_with(errors)), width)
+    text = printed(identification_table(report_with(errors)), width)
     assert set(channels) <= set(text.split())
     assert text.count("0.0123 mrad") == text.count("12.3 µm") == 3 * 2
     assert text.count("1234 x") == 3 * len(channels)
@@ -510,8 +510,8 @@ def test_errors_of_an_identification_are_not_cut(width: int) -> None:
 
 @pytest.mark.parametrize("width", [80, 60])
 def test_machines_and_effects_are_not_cut(width: int) -> None:
-    assert set(BUILTIN_MACHINES) <= set(printed(cli_tables.machine_table(), width).split())
-    assert set(EFFECTS) <= set(printed(cli_tables.effect_table(), width).split())
+    assert set(BUILTIN_MACHINES) <= set(printed(machine_table(), width).split())
+    assert set(EFFECTS) <= set(printed(effect_table(), width).split())
 
 
 @pytest.mark.parametrize("width", [80, 60])
@@ -629,7 +629,7 @@ def test_identified_effects_are_listed_with_their_parameters_and_a_table_by_its_
     parameters = {k: dict(zip(("value", "std", "unit"), v, strict=True)) for k, v in values.items()}
     stribeck = effect_entry("stribeck_friction", "x", parameters=parameters)
     table = stribeck | {"name": "smooth_force[time]", "family": TABLE_FAMILY, "held_out_gain": 0.95}
-    assert cli_tables.effect_lines(report_with(effects=[stribeck, table])) == [
+    assert effect_lines(report_with(effects=[stribeck, table])) == [
         "smooth force[time] at x: a table of 1 points",
         "stribeck friction at x: dF = 2.8393 +- 0.00042 N, n = 2",
     ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -108,11 +109,8 @@ def read_motions(path: Path, machine: Machine) -> list[dict[str, Any]]:
         every = max(1, round(1.0 / (FRAMES_PER_S * step)))
         frames = [*rows[::every]]
 
-        def columns(names: list[str], frames: list[dict[str, str]] = frames) -> list[list[float]]:
-            return [[float(row[name]) for name in names] for row in frames]
-
-        tool = columns([f"{axis}_{unit.name}" for axis in axes])
-        goal = columns([f"{axis}_goal_{unit.name}" for axis in axes])
+        tool = _columns(frames, [f"{axis}_{unit.name}" for axis in axes])
+        goal = _columns(frames, [f"{axis}_goal_{unit.name}" for axis in axes])
         motions.append(
             {
                 "frame_s": step * every,
@@ -120,7 +118,12 @@ def read_motions(path: Path, machine: Machine) -> list[dict[str, Any]]:
                 "goal": [drawn_point(unit, point) for point in goal],
                 "distance": [1e3 * math.dist(*points) for points in zip(tool, goal, strict=True)],
                 "unit": unit.small,
-                "volts": columns(list(inputs)),
+                "volts": _columns(frames, inputs),
             }
         )
     return motions
+
+
+def _columns(rows: Sequence[Mapping[str, str]], names: Sequence[str]) -> list[list[float]]:
+    """Return some columns of the rows of a table."""
+    return [[float(row[name]) for name in names] for row in rows]

@@ -177,7 +177,7 @@ def evaluate(
     from ..controllers import CONTROLLERS
     from ..evaluation import unknown_bound_reasons
     from ..recordings import load_machine
-    from .tables import score_table
+    from .tables.scores import score_table
 
     declared = load_machine(machine)
     options: dict[str, Any] = {"randomize": randomize, "sensors": sensors, "episodes": episodes, "seed": seed}
@@ -258,7 +258,7 @@ def _evaluate_by_protocol(
 ) -> None:
     """Write the result file of each controller in a fixed benchmark, and print their scores."""
     from ..evaluation import FIXED_OPTIONS, write_result
-    from .tables import protocol_tables
+    from .tables.scores import protocol_tables
 
     for option in (*FIXED_OPTIONS, "html", "motions"):
         source = context.get_parameter_source(option)

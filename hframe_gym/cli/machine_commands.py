@@ -71,7 +71,7 @@ def list_machines() -> None:
 
     Example:  hframe machines
     """
-    from .tables import machine_table
+    from .tables.machines import machine_table
 
     console.print(machine_table())
     log("Yours: hframe machines new --like corexy --out my.json (see docs/machine.md)")
@@ -87,7 +87,7 @@ def show_machine(
     Example:  hframe machines show my.json --plot my.png
     """
     from ..recordings import load_machine
-    from .tables import belt_mode_line, machine_tables
+    from .tables.machines import belt_mode_line, machine_tables
 
     if plot is not None and plot.suffix not in PLOT_SUFFIXES:
         raise InputError(f"--plot {plot}: must end in one of {', '.join(PLOT_SUFFIXES)}")
@@ -194,7 +194,7 @@ def list_effects() -> None:
 
     Example:  hframe effects
     """
-    from .tables import effect_table
+    from .tables.machines import effect_table
 
     console.print(effect_table())
     log("If none fits, lookup tables: smooth_force[VARIABLE], smooth_friction[VARIABLE]")

@@ -271,7 +271,7 @@ def _identify_rig(
 ) -> tuple[IdentificationResult, Exception | None]:
     """Identify one rig, write and print its result; return it with the error of the page, if there is one."""
     from ..identification.report.answers import verdict_sentence
-    from .tables import effect_lines, identification_table
+    from .tables.identification import effect_lines, identification_table
 
     with search_progress(log) as progress:
         result, findings = fit(runs_dir, recordings, log, progress)

@@ -119,18 +119,22 @@ def check_parameters(data: Dataset, machine: Machine) -> list[Finding]:
         )
         severity: Severity = "advice" if relative_std > _LARGE_STD else "note"
         findings.append(Finding(severity, "", f"{viscous} and {ke}", message))
-    without_influence = [
-        b.name for b in bounds if b.name in reported_alone and not np.isfinite(b.relative_std)
-    ]
+    return findings + findings_of_bounds([bound for bound in bounds if bound.name in reported_alone])
+
+
+def findings_of_bounds(bounds: Sequence[CramerRaoBound]) -> list[Finding]:
+    """Report bounds of parameters, each alone, but those without influence together and those that are undetermined.
+
+    Args:
+        bounds: Bounds of parameters that are estimated jointly.
+    """
+    findings = []
+    without_influence = [b.name for b in bounds if not np.isfinite(b.relative_std)]
     if without_influence:
         verb = "has" if len(without_influence) == 1 else "have"
         message = f"{verb} no influence on these runs"
         findings.append(Finding("advice", "", ", ".join(without_influence), message))
-    undetermined = [
-        b.name
-        for b in bounds
-        if b.name in reported_alone and b.name not in without_influence and b.relative_std > _UNDETERMINED_STD
-    ]
+    undetermined = [b.name for b in bounds if _UNDETERMINED_STD < b.relative_std < np.inf]
     if undetermined:
         message = (
             f"not determined by these runs (standard error above {100 * _UNDETERMINED_STD:.0f} %), at most the ratios "
@@ -138,9 +142,10 @@ def check_parameters(data: Dataset, machine: Machine) -> list[Finding]:
         )
         findings.append(Finding("advice", "", ", ".join(undetermined), message))
     for bound in bounds:
-        if bound.name not in reported_alone or bound.name in (*without_influence, *undetermined):
+        if bound.relative_std > _UNDETERMINED_STD:
             continue
-        message, severity = f"standard error at least {100 * bound.relative_std:.2g} %", "note"
+        severity: Severity = "note"
+        message = f"standard error at least {100 * bound.relative_std:.2g} %"
         if bound.relative_std > _LARGE_STD:
             severity = "advice"
             if abs(bound.correlation) > _INSEPARABLE:

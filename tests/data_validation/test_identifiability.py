@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hframe_gym.data_validation import cramer_rao_bounds, identifiability
-from hframe_gym.data_validation.identifiability import CramerRaoBound, check_parameters
+from hframe_gym.data_validation import cramer_rao_bounds
+from hframe_gym.data_validation.identifiability import CramerRaoBound, check_parameters, findings_of_bounds
 from hframe_gym.identification import prepare
 from hframe_gym.machine import BUILTIN_MACHINES, Coordinate, Machine
 from hframe_gym.recordings import Recording
@@ -107,38 +107,23 @@ def test_the_sum_of_viscous_friction_and_back_emf_is_reported_and_not_each_alone
     ],
 )
 def test_correlated_parameters_are_inseparable_only_if_they_are_inaccurate(
-    cart: Machine, monkeypatch: pytest.MonkeyPatch, relative_std: float, severity: str, message: str
+    relative_std: float, severity: str, message: str
 ) -> None:
-    bounds = [CramerRaoBound("x.mass", relative_std, "x.viscous", 0.99)]
-    monkeypatch.setattr(identifiability, "_relative_information", lambda *_: (["x.mass"], np.eye(1)))
-    monkeypatch.setattr(identifiability, "_joint_bounds", lambda *_: bounds)
-    data = prepare([Recording("r", np.arange(50) * 1e-3, np.zeros((50, 1)), np.zeros((50, 1)))], cart)
-    (finding,) = check_parameters(data, cart)
+    (finding,) = findings_of_bounds([CramerRaoBound("x.mass", relative_std, "x.viscous", 0.99)])
     assert (finding.severity, finding.message) == (severity, message)
 
 
-def test_parameters_without_influence_share_one_finding(
-    cart: Machine, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    bounds = [CramerRaoBound(name, np.inf, "", 0.0) for name in ("x.mass", "x.viscous")]
-    monkeypatch.setattr(
-        identifiability, "_relative_information", lambda *_: (["x.mass", "x.viscous"], np.eye(2))
+def test_parameters_without_influence_share_one_finding() -> None:
+    (finding,) = findings_of_bounds(
+        [CramerRaoBound(name, np.inf, "", 0.0) for name in ("x.mass", "x.viscous")]
     )
-    monkeypatch.setattr(identifiability, "_joint_bounds", lambda *_: bounds)
-    data = prepare([Recording("r", np.arange(50) * 1e-3, np.zeros((50, 1)), np.zeros((50, 1)))], cart)
-    (finding,) = check_parameters(data, cart)
     assert str(finding) == "advice: x.mass, x.viscous: have no influence on these runs"
 
 
-def test_parameters_that_are_not_determined_share_one_finding(
-    cart: Machine, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_parameters_that_are_not_determined_share_one_finding() -> None:
     """Set points that a stiff drive follows leave standard errors of 1e5 % and more."""
-    names = ["x.mass", "x.viscous", "motor.Kt"]
-    bounds = [CramerRaoBound(name, std, "", 0.0) for name, std in zip(names, (1e3, 20.0, 0.5), strict=True)]
-    monkeypatch.setattr(identifiability, "_relative_information", lambda *_: (names, np.eye(3)))
-    monkeypatch.setattr(identifiability, "_joint_bounds", lambda *_: bounds)
-    data = prepare([Recording("r", np.arange(50) * 1e-3, np.zeros((50, 1)), np.zeros((50, 1)))], cart)
-    undetermined, poor = check_parameters(data, cart)
+    stds = {"x.mass": 1e3, "x.viscous": 20.0, "motor.Kt": 0.5}
+    bounds = [CramerRaoBound(name, std, "", 0.0) for name, std in stds.items()]
+    undetermined, poor = findings_of_bounds(bounds)
     assert str(undetermined).startswith("advice: x.mass, x.viscous: not determined by these runs")
     assert (poor.channel, poor.message) == ("motor.Kt", "standard error at least 50 %")

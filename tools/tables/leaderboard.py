@@ -46,16 +46,9 @@ BANDS = ("1mm", "0.2mm", "0.05mm")
 ABOUT = ("learned by", "observes", "uses of the model", "million steps", "training, s", "control, us")
 
 
-def results(folder: Path = FOLDER) -> list[ResultFile]:
-    """Read all result files of a folder.
-
-    Args:
-        folder: Folder with one JSON file per protocol and entry.
-
-    Returns:
-        The results, sorted by the name of the file.
-    """
-    return [read_result(path) for path in sorted(folder.glob("*.json"))]
+def results() -> list[ResultFile]:
+    """Read the result files of the leaderboard, one per protocol and entry, sorted by the name of the file."""
+    return [read_result(path) for path in sorted(FOLDER.glob("*.json"))]
 
 
 def protocol_section(name: str, entries: Sequence[ResultFile]) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hframe_gym.cli.tables import identification_table
+from hframe_gym.cli.tables.identification import identification_table
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset
 from hframe_gym.identification.report.answers import (

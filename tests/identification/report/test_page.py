@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hframe_gym.cli.tables import identification_table
+from hframe_gym.cli.tables.identification import identification_table
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset, write_result
