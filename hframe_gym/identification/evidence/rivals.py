@@ -7,6 +7,7 @@ their costs (sums of squared residuals in units of the noise) differ by less tha
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -14,7 +15,14 @@ from ...effects import effect_sites
 from ...machine import AppliedEffect, Machine
 from ...preparation.dataset import Dataset
 from ..fit.estimation import Fit
-from ..fit.model_error import bandwidths_for, continue_fit, likelihood_loss, polish
+from ..fit.model_error import (
+    bandwidths_for,
+    continue_fit,
+    cost_of_loss,
+    has_narrowest_observer,
+    likelihood_loss,
+    polish,
+)
 from ..judge.criteria import SelectionCriteria
 from ..judge.effect import parameter_at_limit
 from ..judge.rival import RivalEvidence, chance_margin, equal_margin, is_likelier, preference, remains_rival
@@ -202,8 +210,14 @@ def compare_rivals(
     better, least, tried = None, loss, {}
     for rival in possible:
         known = rival not in in_combination
-        start = fit_in_place_of(current, label, rival, data) if known else _sized(current, label, rival, data)
-        trial = _polished(start, data)
+        # A known rival that exceeds this loss neither replaces the effect nor remains.
+        largest = loss + margin if known else math.inf
+        if known:
+            goal = _goal(largest, current, data)
+            start = fit_in_place_of(current, label, rival, data, goal=goal)
+        else:
+            start = _sized(current, label, rival, data)
+        trial = _polished(start, data, largest)
         rival_loss, own_margin = likelihood_loss(trial, data), margin_of(trial, rival.label)
         evidence = RivalEvidence(loss, margin, rival_loss, own_margin, known)
         if is_likelier(evidence, least):
@@ -226,13 +240,28 @@ def _sized(current: Fit, label: str, rival: AppliedEffect, data: Dataset) -> Fit
     return continue_fit(fit_in_place_of(wide, label, rival, data), data, current.bandwidth)
 
 
-def _polished(fitted: Fit, data: Dataset) -> Fit:
+def _polished(fitted: Fit, data: Dataset, largest_loss: float = math.inf) -> Fit:
     """Fit with the shortest integration step, at the given bandwidth and in simulation; return the more likely fit.
 
-    The longer integration step of the search is too inaccurate to distinguish a delay of 0.1 ms from a lag.
+    The longer integration step of the search is too inaccurate to distinguish a delay of 0.1 ms from a lag. A fit that
+    cannot come down to the largest loss ends early.
     """
     narrowest = bandwidths_for(data)[-1]
-    fits = [fitted] if fitted.bandwidth == narrowest else [fitted, continue_fit(fitted, data, narrowest)]
+    fits = [fitted]
+    if fitted.bandwidth != narrowest:
+        goal = cost_of_loss(largest_loss, fitted.machine, data, narrowest)
+        fits.append(continue_fit(fitted, data, narrowest, goal=goal))
     return min(
-        (polish(start, data) for start in fits), key=lambda candidate: likelihood_loss(candidate, data)
+        (
+            polish(start, data, goal=cost_of_loss(largest_loss, start.machine, data, start.bandwidth))
+            for start in fits
+        ),
+        key=lambda candidate: likelihood_loss(candidate, data),
     )
+
+
+def _goal(largest_loss: float, fitted: Fit, data: Dataset) -> float:
+    """Return the cost above which a fit at a bandwidth is of no use; infinite where it is continued in simulation."""
+    if not has_narrowest_observer(fitted, data):
+        return math.inf
+    return cost_of_loss(largest_loss, fitted.machine, data, fitted.bandwidth)

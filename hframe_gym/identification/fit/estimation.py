@@ -38,6 +38,10 @@ SWITCH_CHANGES: Array = np.float64(0.5) ** np.arange(1, 14)  # 50 to 0.01 % of a
 # The same for a parameter on which no prediction depends, such as a limit that is not reached: once it is reached,
 # derivatives lead on.
 UNREACHED_CHANGES = SWITCH_CHANGES[:5]  # 50 to 3 %
+# Factor, dimensionless, from the square of a step's relative error of prediction to the part of its decrease of the
+# cost that the next step would add: (1 - found / predicted)^2 where the curvature is wrong, 9/4 of it where the cost
+# has a cubic term.
+_NEXT_STEP = 2.25
 
 
 @dataclass(frozen=True)
@@ -125,6 +129,7 @@ def fit(
     iterations: int = 25,
     tolerance: float = 1e-4,
     longest_step: float = SEARCH_STEP,
+    goal: float = math.inf,
 ) -> Fit:
     """Fit free parameters of a machine to a data set by the Levenberg-Marquardt method.
 
@@ -139,6 +144,8 @@ def fit(
         iterations: Maximum number of iterations.
         tolerance: Decrease of cost plus penalty per iteration, relative to their sum, below which the search ends.
         longest_step: Maximum integration step, s.
+        goal: Cost, dimensionless, above which the fit is of no use. The search ends where it cannot come down to it,
+            even if each remaining iteration decreased the cost as much as the last one. Default: every fit is of use.
 
     Returns:
         Fit where the search ended; its cost is that without the penalty, infinite if the machine diverges.
@@ -147,7 +154,7 @@ def fit(
     steps: tuple[float | None, ...] = (None, DIFFERENCE_STEP) if any(f.switch for f in free) else (None,)
     for step in _IMPACT_DIFFERENCE_STEPS if has_impacts(machine) else steps:
         model = ResidualModel(machine, tuple(free), data, bandwidth, longest_step, difference_step=step)
-        theta, cost, information = _descend(model, theta, iterations, tolerance)
+        theta, cost, information = _descend(model, theta, iterations, tolerance, goal)
     machine = model.machine_at(theta)
     if math.isfinite(cost):  # costs of trials have the influence of unknown starts linearized before the step
         cost = prediction_cost(machine, data, bandwidth, longest_step=longest_step)
@@ -156,9 +163,9 @@ def fit(
 
 
 def _descend(
-    model: ResidualModel, theta: Array, iterations: int, tolerance: float
+    model: ResidualModel, theta: Array, iterations: int, tolerance: float, goal: float
 ) -> tuple[Array, float, Array]:
-    """Reduce the cost by Levenberg-Marquardt steps, until its relative decrease per iteration is below the tolerance.
+    """Reduce the cost by Levenberg-Marquardt steps, until a further one would reduce it by less than the tolerance.
 
     Return theta; its cost with the penalty of the prior, infinite if the machine diverges; and the Fisher information
     without the prior at the last expansion point.
@@ -179,28 +186,48 @@ def _descend(
         initial_cost = cost = equations.cost + float(theta @ precision @ theta)
         hessian, gradient = information + precision, equations.gradient + precision @ theta
         scaling = np.diag(np.diag(hessian))
-        trials = theta + [bounded_step(free, theta, hessian + d * scaling, gradient) for d in _DAMPINGS]
-        theta, cost = _best_trial(expansion, precision, trials, theta, cost)
+        steps = np.array([bounded_step(free, theta, hessian + d * scaling, gradient) for d in _DAMPINGS])
+        costs = _costs(expansion, precision, theta + steps)
+        theta, cost = _best_trial(theta + steps, costs, theta, cost)
+        undamped = steps[0]
+        promised = -float(2.0 * gradient @ undamped + undamped @ hessian @ undamped)
+        next_decrease = _next_decrease(promised, initial_cost - float(costs[0]))
         for j in (j for j, parameter in enumerate(free) if parameter.switch):
             trials = with_changed_switch(free[j], j, theta, SWITCH_CHANGES)
-            theta, cost = _best_trial(expansion, precision, trials, theta, cost)
-        if not initial_cost - cost > tolerance * cost:
-            for j in np.flatnonzero(np.diag(information) == 0.0).tolist():
-                trials = with_changed_switch(free[j], j, theta, UNREACHED_CHANGES)
-                theta, cost = _best_trial(expansion, precision, trials, theta, cost)
-            if not initial_cost - cost > tolerance * cost:
+            theta, cost = _best_trial(trials, _costs(expansion, precision, trials), theta, cost)
+            next_decrease = math.inf  # nothing was promised of it
+        if min(initial_cost - cost, next_decrease) > tolerance * cost:
+            possible = (iterations - 1 - iteration) * (initial_cost - cost)
+            if cost - float(theta @ precision @ theta) - possible > goal:
                 break
+            continue
+        before = cost
+        for j in np.flatnonzero(np.diag(information) == 0.0).tolist():
+            trials = with_changed_switch(free[j], j, theta, UNREACHED_CHANGES)
+            theta, cost = _best_trial(trials, _costs(expansion, precision, trials), theta, cost)
+        if not before - cost > tolerance * cost:
+            break
     return theta, cost, information
 
 
-def _best_trial(
-    expansion: Linearization, precision: Array, trials: Array, theta: Array, cost: float
-) -> tuple[Array, float]:
-    """Return the trial with the lowest cost and this cost; theta and its cost if no trial has a lower one.
+def _next_decrease(promised: float, found: float) -> float:
+    """Return about how much a further step would decrease the cost, by how well the last one kept its promise.
 
-    All trials, shape (trials, k), are simulated as one batch.
+    A step of a model that is exact leads to the minimum.
     """
-    costs = expansion.costs(trials) + np.einsum("bi,ij,bj->b", trials, precision, trials)
+    if not promised > 0.0:
+        return 0.0
+    error = 1.0 - found / promised
+    return _NEXT_STEP * error * error * promised if math.isfinite(error) else math.inf
+
+
+def _costs(expansion: Linearization, precision: Array, trials: Array) -> Array:
+    """Return the costs of trials, shape (trials, k), with the penalty of the prior; they are simulated as one batch."""
+    return expansion.costs(trials) + np.einsum("bi,ij,bj->b", trials, precision, trials)
+
+
+def _best_trial(trials: Array, costs: Array, theta: Array, cost: float) -> tuple[Array, float]:
+    """Return the trial with the lowest cost and this cost; theta and its cost if no trial has a lower one."""
     best = int(np.argmin(costs))
     return (trials[best], float(costs[best])) if costs[best] < cost else (theta, cost)
 
@@ -307,14 +334,35 @@ def costs_left_out(
     total = NormalEquations.total(equations)
     if not total.finite:  # the machine diverges
         return [(math.inf, math.inf)] * len(equations)
-    precision = prior_precision(free) * max(1.0, total.chi2)
     costs = []
-    for left_out in equations:
+    for left_out, fitted in zip(equations, thetas_left_out(equations, free, theta), strict=True):
         information, gradient = total.information - left_out.information, total.gradient - left_out.gradient
-        hessian, slope = information + precision, gradient + precision @ theta
-        step = bounded_step(free, theta, hessian, slope)
+        step = fitted - theta
         cost = left_out.cost + float(2.0 * left_out.gradient @ step + step @ left_out.information @ step)
         costs.append(
             (cost, total.cost - left_out.cost + float(2.0 * gradient @ step + step @ information @ step))
         )
     return costs
+
+
+def thetas_left_out(
+    equations: Sequence[NormalEquations], free: Sequence[FreeParameter], theta: Array
+) -> list[Array]:
+    """Return the parameters of a linear model that are fitted to all pieces but one, for each piece.
+
+    Args:
+        equations: Normal equations of each piece, of k parameters; they are finite.
+        free: The parameters, with their limits and priors.
+        theta: Parameters at which the model is linearized, dimensionless, shape (k,).
+
+    Returns:
+        Parameters theta, dimensionless, shape (k,) each.
+    """
+    total = NormalEquations.total(equations)
+    precision = prior_precision(free) * max(1.0, total.chi2)
+    thetas = []
+    for left_out in equations:
+        hessian = total.information - left_out.information + precision
+        slope = total.gradient - left_out.gradient + precision @ theta
+        thetas.append(theta + bounded_step(free, theta, hessian, slope))
+    return thetas

@@ -16,6 +16,7 @@ The cost is the sum of squared residuals in units of the sensors' noise; chi-squ
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 
 from ...effects.smooth_table import TABLE_FAMILY
@@ -24,6 +25,8 @@ from ...preparation.dataset import Dataset
 from ..judge import run as judge
 from ..judge.observer import best_in_simulation, likeliest
 from ..judge.run import MIN_RUNS_COMPARED
+from ..predict.linearization import ResidualModel
+from ..predict.normal_equations import NormalEquations
 from ..predict.prediction import (
     NARROWEST_WITH_VOLTAGE_ERRORS,
     POLISH_STEP,
@@ -32,13 +35,13 @@ from ..predict.prediction import (
     SIMULATION,
     innovation_variance,
 )
-from .estimation import Fit, cross_validation, fit, prediction_cost
+from .estimation import Fit, cross_validation, fit, prediction_cost, thetas_left_out
 
 # Decrease of cost / chi2 at which a polished fit ends; it is 1 at one standard deviation.
 _CONVERGED_COST = 0.02
 # Bandwidths that are compared, rad/s. The likelihood changes little between neighbors.
 BANDWIDTHS = (SEARCH_BANDWIDTH, 30.0, 15.0, 7.0, 3.0, SIMULATION)
-_FOLDS = 3  # parts of the runs that are left out in turn, where fits are repeated
+_FOLDS = 3  # parts of the runs that are left out in turn where the error of a simulation is cross-validated
 _MIN_RUNS, _PIECES = 4, 8  # fewer runs are divided into that many pieces for cross-validation
 _SEARCH_STEP_NARROW = 0.25e-3  # s; with a narrow observer, the errors of longer integration steps accumulate
 
@@ -99,6 +102,12 @@ def likelihood_loss(fitted: Fit, data: Dataset) -> float:
     return fitted.chi2 / variance + log_variance
 
 
+def cost_of_loss(loss: float, machine: Machine, data: Dataset, bandwidth: float) -> float:
+    """Return the cost of a fit of a machine at a bandwidth, rad/s, that has a loss (`likelihood_loss`)."""
+    variance, log_variance = innovation_variance(machine, data, bandwidth)
+    return (loss - log_variance) * variance * data.count
+
+
 def narrower_observer(fitted: Fit, data: Dataset) -> Fit:
     """Fit a machine again with weaker feedback of measurements: an observer of the next smaller bandwidth.
 
@@ -146,7 +155,9 @@ def fit_with_model_error(fitted: Fit, data: Dataset) -> Fit:
     """
     if has_narrowest_observer(fitted, data):
         return fitted
-    simulated = continue_fit(fitted, data, bandwidths_for(data)[-1])
+    narrowest = bandwidths_for(data)[-1]
+    goal = cost_of_loss(likelihood_loss(fitted, data), fitted.machine, data, narrowest)
+    simulated = continue_fit(fitted, data, narrowest, goal=goal)
     fits = ((narrower, likelihood_loss(narrower, data)) for narrower in _narrowing(fitted, data))
     return likeliest(fits, (simulated, likelihood_loss(simulated, data)))
 
@@ -160,15 +171,16 @@ def _narrowing(fitted: Fit, data: Dataset) -> Iterator[Fit]:
         yield fitted
 
 
-def polish(fitted: Fit, data: Dataset) -> Fit:
+def polish(fitted: Fit, data: Dataset, *, goal: float = math.inf) -> Fit:
     """Fit again until convergence, with the shortest integration step, 0.125 ms, whose error is negligible.
 
     Args:
         fitted: Fit to refine; its parameters are the starting values.
         data: Runs that were fitted.
+        goal: Cost above which the fit is of no use (`fit`).
     """
     model, accurate = (fitted.machine, fitted.free, data, fitted.bandwidth), _CONVERGED_COST / data.count
-    return fit(*model, theta=fitted.theta, tolerance=accurate, longest_step=POLISH_STEP)
+    return fit(*model, theta=fitted.theta, tolerance=accurate, longest_step=POLISH_STEP, goal=goal)
 
 
 def refined_in_simulation(fitted: Fit, data: Dataset) -> Fit:
@@ -197,8 +209,13 @@ def refined_in_simulation(fitted: Fit, data: Dataset) -> Fit:
     def product(narrower: Fit) -> float:
         return cost(narrower.machine, SIMULATION) * cost(narrower.machine, fitted.bandwidth)
 
-    def simulated(best: Fit) -> tuple[Fit, float]:
-        again = continue_fit(best, data, SIMULATION)
+    def simulated(best: Fit, least: float) -> tuple[Fit, float]:
+        # No parameters have a lower cost in prediction than the fit, and none in runs to which they were not fitted
+        # than in those to which they were.
+        goal = least / fitted.cost
+        again = continue_fit(best, data, SIMULATION, goal=goal)
+        if not again.cost < goal:
+            return again, math.inf
         return again, _cross_validated_cost(again, data) * cost(again.machine, fitted.bandwidth)
 
     best = best_in_simulation(
@@ -208,17 +225,23 @@ def refined_in_simulation(fitted: Fit, data: Dataset) -> Fit:
 
 
 def _cross_validated_cost(fitted: Fit, data: Dataset) -> float:
-    """Return the cost of all runs, each third with parameters that were fitted to the other two thirds."""
-    names = [run.name for run in data.runs]
-    folds = [names[first::_FOLDS] for first in range(min(_FOLDS, len(names)))]
-    total = 0.0
-    for left_out in folds:
-        others = data.with_runs([name for name in names if name not in left_out])
-        refitted = continue_fit(fitted, others, fitted.bandwidth)
-        total += prediction_cost(
-            refitted.machine, data.with_runs(left_out), fitted.bandwidth, longest_step=POLISH_STEP
+    """Return the cost of all runs, each third with parameters that one step fits to the other two thirds."""
+    model = ResidualModel(fitted.machine, fitted.free, data, fitted.bandwidth, fitted.longest_step)
+    by_run = model.linearize(fitted.theta).by_run
+    names, folds = [run.name for run in data.runs], min(_FOLDS, len(data.runs))
+    parts = [NormalEquations.total(by_run[first::folds]) for first in range(folds)]
+    if not all(part.finite for part in parts):  # the machine diverges
+        return math.inf
+    thetas = thetas_left_out(parts, fitted.free, fitted.theta)
+    return sum(
+        prediction_cost(
+            model.machine_at(theta),
+            data.with_runs(names[first::folds]),
+            fitted.bandwidth,
+            longest_step=POLISH_STEP,
         )
-    return total
+        for first, theta in enumerate(thetas)
+    )
 
 
 def leave_one_out_gain(without: Fit, with_effect: Fit, data: Dataset) -> float:
@@ -301,15 +324,16 @@ def ratios_to_others(costs: Sequence[tuple[float, float]], counts: Sequence[floa
     ]
 
 
-def continue_fit(fitted: Fit, data: Dataset, bandwidth: float) -> Fit:
+def continue_fit(fitted: Fit, data: Dataset, bandwidth: float, *, goal: float = math.inf) -> Fit:
     """Fit a machine again from the parameters of an earlier fit, to other data or at another observer bandwidth.
 
     Args:
         fitted: Earlier fit; its parameters are the starting values.
         bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
+        goal: Cost above which the fit is of no use (`fit`).
 
     Returns:
         Fit with the step of `search_step`.
     """
-    step = search_step(bandwidth)
-    return fit(fitted.machine, fitted.free, data, bandwidth, theta=fitted.theta, longest_step=step)
+    start, step = (fitted.machine, fitted.free, data, bandwidth), search_step(bandwidth)
+    return fit(*start, theta=fitted.theta, longest_step=step, goal=goal)

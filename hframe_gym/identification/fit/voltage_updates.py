@@ -177,7 +177,8 @@ def _least_error(held: Fit, data: Dataset, promising: float) -> tuple[int, Fit]:
     """
     best, per_row = held, 1
     for trial in _TRIALS:
-        refitted = continue_fit(best, data.with_updates(trial), held.bandwidth)
+        goal = min(best.cost, held.cost - promising * held.count)
+        refitted = continue_fit(best, data.with_updates(trial), held.bandwidth, goal=goal)
         if not refitted.cost < best.cost or held.chi2 - refitted.chi2 < promising:
             break
         best, per_row = refitted, trial

@@ -36,7 +36,7 @@ def likeliest(narrowing: Iterable[tuple[Fitted, float]], simulated: tuple[Fitted
 
 
 def best_in_simulation(
-    narrowing: Iterable[tuple[Fitted, float]], simulated: Callable[[Fitted], tuple[Fitted, float]]
+    narrowing: Iterable[tuple[Fitted, float]], simulated: Callable[[Fitted, float], tuple[Fitted, float]]
 ) -> Fitted:
     """Choose the fit with the smallest product of its costs in simulation and in prediction.
 
@@ -45,14 +45,14 @@ def best_in_simulation(
     Args:
         narrowing: Fits with their products, from the present observer to narrower ones.
         simulated: Function that continues the best of these without an observer, as a fit in simulation, and returns
-            that fit with its product. Its cost in simulation is by cross-validation, because such a fit adapts to
-            errors of the model.
+            that fit with its product. It gets the best one and its product, which it has to reduce. Its cost in
+            simulation is by cross-validation, because such a fit adapts to errors of the model.
 
     Returns:
         The fit with the smallest product; the earlier of two that are equal.
     """
     best, least = min(narrowing, key=lambda fit_and_product: fit_and_product[1])
-    alternative, product = simulated(best)
+    alternative, product = simulated(best, least)
     return alternative if product < least else best
 
 

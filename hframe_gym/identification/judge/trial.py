@@ -139,7 +139,18 @@ def is_worth_convergence(
         enough: Required gain, chi-squared per sample, dimensionless.
         criteria: Decision threshold `min_trial_gain`.
     """
-    return not (error.cost - trial.cost) / error.count < criteria.min_trial_gain * enough
+    return not trial.cost > largest_useful_cost(error, enough, criteria)
+
+
+def largest_useful_cost(error: FitError, enough: float, criteria: SelectionCriteria) -> float:
+    """Return the cost of a trial, dimensionless, above which its fit is not continued.
+
+    Args:
+        error: Error without the effect.
+        enough: Required gain, chi-squared per sample, dimensionless.
+        criteria: Decision threshold `min_trial_gain`.
+    """
+    return error.cost - criteria.min_trial_gain * enough * error.count
 
 
 def gives_way(gain: float, best_other: float) -> bool:

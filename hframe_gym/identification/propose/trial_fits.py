@@ -87,6 +87,7 @@ def _trial_fits_from(
     # Largest linearized gain of a candidate that explains the data, and its effect.
     best_promise, explaining = 0.0, ""
     promising = _promising(start, ranked, data, enough, criteria)
+    goal = judge.largest_useful_cost(current.error, enough, criteria)
     for i, scored in enumerate(promising):
         # Where a candidate explains the data, only its possible rivals are fitted as well: those with a similar gain,
         # and the same effect at other sites (a common limit explains nearly as much as that of one drive).
@@ -94,7 +95,8 @@ def _trial_fits_from(
         elsewhere = scored.candidate.effect.name == explaining and scored.candidate.label not in fitted
         if elsewhere or judge.may_be_rival(scored.gain, best_promise, criteria):
             spend(f"trial fit {i + 1} of {len(promising)}: {scored.candidate.label}")
-            trials = _with_better_shape(trials, fit_with_candidate(start, scored, scales, data))
+            trial = fit_with_candidate(start, scored, scales, data, goal=goal)
+            trials = _with_better_shape(trials, trial)
             if not explaining and judge.explains_alone(current.error, best_error(trials), criteria):
                 best_promise, explaining = scored.gain, scored.candidate.effect.name
     return trials
@@ -130,12 +132,13 @@ def structural_trial_fits(
     scales = typical_scales(current, data)
     useful = max((current.cost - t.cost for t in trials), default=0.0) / data.count
     least = judge.least_structural_promise(useful, enough, criteria)
+    goal = judge.largest_useful_cost(current.error, enough, criteria)
     fits: list[Fit] = []
     spend("screening the effects that replace a part of the model")
     promising = screen_structures(current, data, scales, least)
     for i, machine in enumerate(promising):
         spend(f"trial fit {i + 1} of {len(promising)}: {machine.effects[-1].label}")
-        fits = _with_better_shape(fits, _replace(current, machine, scales, data))
+        fits = _with_better_shape(fits, _replace(current, machine, scales, data, goal))
     return fits
 
 
@@ -212,13 +215,16 @@ def replacement_fit(
     return converge(fit_with_candidate(reduced, best, scales, data), data, thorough=False)
 
 
-def fit_in_place_of(current: Fit, label: str, rival: AppliedEffect, data: Dataset) -> Fit:
+def fit_in_place_of(
+    current: Fit, label: str, rival: AppliedEffect, data: Dataset, *, goal: float = math.inf
+) -> Fit:
     """Fit a machine again in which a rival effect replaces another effect.
 
     Args:
         current: Fit of the machine with all selected effects, among them the effect to replace.
         label: Label (name@component) of the effect to replace.
         rival: Effect that replaces it, with its starting values.
+        goal: Cost above which the fit is of no use (`fit`).
 
     Returns:
         Fit: machine, k parameters (theta, dimensionless, shape (k,)) and cost (chi-squared; infinite if the machine
@@ -236,7 +242,8 @@ def fit_in_place_of(current: Fit, label: str, rival: AppliedEffect, data: Datase
     )
     added = [f for f in effect_parameters(rival, machine, scales) if f.name not in names]
     theta = np.concatenate([kept_theta, np.zeros(len(added))])
-    return fit(machine, (*kept, *added), data, current.bandwidth, theta=theta, longest_step=step)
+    free = (*kept, *added)
+    return fit(machine, free, data, current.bandwidth, theta=theta, longest_step=step, goal=goal)
 
 
 def _promising(
@@ -264,13 +271,16 @@ def _promising(
     return sorted(itertools.chain(*best.values()), key=lambda scored: -scored.gain)
 
 
-def fit_with_candidate(current: Fit, scored: ScoredCandidate, scales: TypicalScales, data: Dataset) -> Fit:
+def fit_with_candidate(
+    current: Fit, scored: ScoredCandidate, scales: TypicalScales, data: Dataset, *, goal: float = math.inf
+) -> Fit:
     """Add a candidate effect to the machine and fit both together, with few iterations.
 
     Args:
         current: Fit without the effect; the new one has the same observer bandwidth.
         scored: Screened candidate with the amounts (weights) of its basis functions.
         scales: Typical forces, speeds and travels on this machine; the new parameters are multiples of them.
+        goal: Cost above which the fit is of no use (`fit`).
 
     Returns:
         Fit, not fully converged.
@@ -281,14 +291,14 @@ def fit_with_candidate(current: Fit, scored: ScoredCandidate, scales: TypicalSca
     free = (*current.free, *added)
     # From a wrong threshold, other parameters may imitate what the right one does.
     switches = [j for j, f in enumerate(free) if f in added and f.switch]
-    starts = [
-        theta,
-        *(theta + change * np.eye(len(free))[j] for j in switches for change in _THRESHOLD_CHANGES),
-    ]
-    return min((_trial_fit(machine, free, t, current, data) for t in starts), key=lambda trial: trial.cost)
+    best = _trial_fit(machine, free, theta, current, data, goal=goal)
+    for moved in (theta + change * np.eye(len(free))[j] for j in switches for change in _THRESHOLD_CHANGES):
+        trial = _trial_fit(machine, free, moved, current, data, goal=min(goal, best.cost))
+        best = min(best, trial, key=lambda each: each.cost)
+    return best
 
 
-def _replace(current: Fit, machine: Machine, scales: TypicalScales, data: Dataset) -> Fit:
+def _replace(current: Fit, machine: Machine, scales: TypicalScales, data: Dataset, goal: float) -> Fit:
     """Fit a machine in which an effect replaces a part of the model, with default free parameters.
 
     For a structural effect, the fit starts from the declared parameters, because parameters that were fitted without
@@ -298,7 +308,7 @@ def _replace(current: Fit, machine: Machine, scales: TypicalScales, data: Datase
     if (effect.definition.structure or effect.definition.tension) and current.bandwidth >= SEARCH_BANDWIDTH:
         declared = {f.name: f.center for f in current.free if not f.of_effect}
         machine = current.machine.replace(declared).with_effects(effect)
-    return _trial_fit(machine, *_all_free(machine, scales), current, data)
+    return _trial_fit(machine, *_all_free(machine, scales), current, data, goal=goal)
 
 
 def _all_free(machine: Machine, scales: TypicalScales) -> tuple[tuple[FreeParameter, ...], Array]:
@@ -322,7 +332,13 @@ def fit_with_effects(current: Fit, effects: Sequence[AppliedEffect], data: Datas
 
 
 def _trial_fit(
-    machine: Machine, free: tuple[FreeParameter, ...], theta: Array, current: Fit, data: Dataset
+    machine: Machine,
+    free: tuple[FreeParameter, ...],
+    theta: Array,
+    current: Fit,
+    data: Dataset,
+    *,
+    goal: float = math.inf,
 ) -> Fit:
     """Fit a candidate with few iterations, at the bandwidth of the current fit."""
     return fit(
@@ -334,6 +350,7 @@ def _trial_fit(
         iterations=_TRIAL_ITERATIONS,
         tolerance=_TRIAL_TOLERANCE,
         longest_step=search_step(current.bandwidth),
+        goal=goal,
     )
 
 
@@ -347,8 +364,11 @@ def converge(trial: Fit, data: Dataset, *, thorough: bool) -> Fit:
             parameters of the trial were first fitted without the effect and compensate for it.
     """
     reset = dataclasses.replace(trial, theta=_declared_theta(trial))
-    fits = [continue_fit(start, data, trial.bandwidth) for start in ([trial, reset] if thorough else [trial])]
-    return min(fits, key=lambda candidate_fit: candidate_fit.cost)
+    continued = continue_fit(trial, data, trial.bandwidth)
+    if not thorough:
+        return continued
+    again = continue_fit(reset, data, trial.bandwidth, goal=continued.cost)
+    return min(continued, again, key=lambda candidate_fit: candidate_fit.cost)
 
 
 def without_effect(

@@ -46,7 +46,8 @@ def test_the_final_fit_has_the_smallest_product_of_costs(
 ) -> None:
     continued: list[int] = []
 
-    def in_simulation(best: int) -> tuple[int, float]:
+    def in_simulation(best: int, least: float) -> tuple[int, float]:
+        assert least == products[best]
         continued.append(best)
         return 0, simulated
 
