@@ -103,7 +103,17 @@ def likelihood_loss(fitted: Fit, data: Dataset) -> float:
 
 
 def cost_of_loss(loss: float, machine: Machine, data: Dataset, bandwidth: float) -> float:
-    """Return the cost of a fit of a machine at a bandwidth, rad/s, that has a loss (`likelihood_loss`)."""
+    """Return the cost of a fit that has a loss.
+
+    Args:
+        loss: Loss (`likelihood_loss`), dimensionless.
+        machine: Fitted machine.
+        data: Runs that were fitted.
+        bandwidth: Bandwidth of the observer, rad/s; 0 for a simulation.
+
+    Returns:
+        Cost, dimensionless.
+    """
     variance, log_variance = innovation_variance(machine, data, bandwidth)
     return (loss - log_variance) * variance * data.count
 
@@ -177,7 +187,7 @@ def polish(fitted: Fit, data: Dataset, *, goal: float = math.inf) -> Fit:
     Args:
         fitted: Fit to refine; its parameters are the starting values.
         data: Runs that were fitted.
-        goal: Cost above which the fit is of no use (`fit`).
+        goal: Cost, dimensionless, above which the fit is of no use (`fit`).
     """
     model, accurate = (fitted.machine, fitted.free, data, fitted.bandwidth), _CONVERGED_COST / data.count
     return fit(*model, theta=fitted.theta, tolerance=accurate, longest_step=POLISH_STEP, goal=goal)
@@ -330,7 +340,7 @@ def continue_fit(fitted: Fit, data: Dataset, bandwidth: float, *, goal: float = 
     Args:
         fitted: Earlier fit; its parameters are the starting values.
         bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
-        goal: Cost above which the fit is of no use (`fit`).
+        goal: Cost, dimensionless, above which the fit is of no use (`fit`).
 
     Returns:
         Fit with the step of `search_step`.

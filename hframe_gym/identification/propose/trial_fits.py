@@ -224,7 +224,7 @@ def fit_in_place_of(
         current: Fit of the machine with all selected effects, among them the effect to replace.
         label: Label (name@component) of the effect to replace.
         rival: Effect that replaces it, with its starting values.
-        goal: Cost above which the fit is of no use (`fit`).
+        goal: Cost, dimensionless, above which the fit is of no use (`fit`).
 
     Returns:
         Fit: machine, k parameters (theta, dimensionless, shape (k,)) and cost (chi-squared; infinite if the machine
@@ -280,7 +280,7 @@ def fit_with_candidate(
         current: Fit without the effect; the new one has the same observer bandwidth.
         scored: Screened candidate with the amounts (weights) of its basis functions.
         scales: Typical forces, speeds and travels on this machine; the new parameters are multiples of them.
-        goal: Cost above which the fit is of no use (`fit`).
+        goal: Cost, dimensionless, above which the fit is of no use (`fit`).
 
     Returns:
         Fit, not fully converged.
