@@ -1,5 +1,7 @@
 """Evaluation of controllers on identical episodes: scenarios, protocols, scores with intervals, plots, data sets."""
 
+from .controller_creation import CONTROLLER_SOURCES, ControllerFiles, ControllerSource, make_controller
+from .episodes import Episodes
 from .metrics import (
     BANDS,
     BOOTSTRAP_RESAMPLES,
@@ -40,17 +42,7 @@ from .reported_scores import (
     unknown_bound_reasons,
 )
 from .runner import Evaluation, evaluate, file_labels, rollout, write_motions, write_scores
-from .scenario import (
-    CONTROLLER_SOURCES,
-    ControllerFiles,
-    ControllerSource,
-    EpisodeConditions,
-    Episodes,
-    Scenario,
-    environments_of,
-    episode_conditions,
-    make_controller,
-)
+from .scenario import EpisodeConditions, Scenario, environments_of, episode_conditions
 from .scorecard import write_scorecard
 from .timed_controller import TimedController
 from .undeclared_effects import EFFECT_FAMILIES, acting_effects, effect_rules, with_absent_effects

@@ -10,9 +10,10 @@ from typing import Any
 from ..envs import ACTUATOR_PRESETS, RANDOMIZATION_PRESETS, SENSOR_PRESETS
 from ..operating_system import quoted
 from ..web_page import NextStep, number
+from .episodes import Command, Episodes
 from .metrics import ranked_episodes
 from .reported_scores import ratio_to_bounds, task_name
-from .scenario import Command, Episodes, Scenario
+from .scenario import Scenario
 
 _SENSORS = {
     "state": "exact positions and velocities, without noise, rounding or delay, which no sensor measures",

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from ..machine import METERS
 from ..registry import Registry
-from .scenario import EpisodeConditions, Episodes, Scenario, episode_conditions
+from .episodes import Episodes
+from .scenario import EpisodeConditions, Scenario, episode_conditions
 
 BANDS = METERS.bands  # m, settling bands of linear axes by name, from wide to narrow
 BOUND_BAND = METERS.bound_band  # settling band of the stored time-optimal bounds

@@ -29,7 +29,8 @@ from ..files import atomic_file, output_batch, scratch_folder
 from ..machine import BUILTIN_MACHINES, Machine
 from ..recordings import machine_to_dict, save_machine
 from ..version import __version__
-from .scenario import Scenario, make_controller
+from .controller_creation import make_controller
+from .scenario import Scenario
 
 RANDOM = "random"  # name of a data set of uniformly random actions
 EXPERT = "predictive"  # controller whose mean return is the upper reference score

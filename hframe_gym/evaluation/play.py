@@ -19,7 +19,8 @@ from ..envs.rendering import HEIGHT, TRAIL_LENGTH, WIDTH, Renderer, Scene, tool_
 from ..errors import InputError
 from ..files import atomic_file
 from ..machine import position_of_point
-from .scenario import Scenario, make_controller
+from .controller_creation import make_controller
+from .scenario import Scenario
 
 FRAMES_PER_S = 50
 STRIP_HEIGHT = 74  # pixels below a stage, for its name, its result and its voltages

@@ -13,9 +13,9 @@ from ..errors import naming_extra
 from ..files import atomic_file
 from ..machine import AxisUnit
 from ..web_page import SERIES, Panel, color, legend_above, number, plot_style
+from .episodes import Episodes
 from .metrics import settling_times
 from .reported_scores import unit_of_scores
-from .scenario import Episodes
 
 SMALLEST_ERROR_MM = 1e-3  # mm or mrad, lower end of the logarithmic error axis of a plot
 

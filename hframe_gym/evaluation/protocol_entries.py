@@ -17,9 +17,9 @@ from ..controllers import CONTROLLERS, Controller, OutputFeedbackController, Sta
 from ..envs import observed_machine
 from ..machine import Machine
 from ..registry import load_plugins
+from .controller_creation import CONTROLLER_SOURCES, make_controller
 from .protocols import Draws, Protocol, draw_values
 from .runner import rollout
-from .scenario import CONTROLLER_SOURCES, make_controller
 from .timed_controller import TimedController
 
 

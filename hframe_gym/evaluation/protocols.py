@@ -33,8 +33,9 @@ from ..envs.actuators import ACTUATOR_PRESETS
 from ..errors import InputError, suggestion
 from ..machine import Machine
 from ..recordings.machine_file import machine_to_dict
+from .episodes import Episodes
 from .metrics import BANDS, condition_digests, settling_times
-from .scenario import Episodes, Scenario, episode_conditions
+from .scenario import Scenario, episode_conditions
 from .undeclared_effects import effect_rules, with_absent_effects
 
 Draws = dict[str, list[float | None]]

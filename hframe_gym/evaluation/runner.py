@@ -23,8 +23,10 @@ from ..errors import InputError
 from ..files import write_text
 from ..machine import Machine
 from ..recordings import recorded_commands
+from .controller_creation import make_controller
+from .episodes import Command, Episodes
 from .metrics import score_episodes, stored_bounds
-from .scenario import Command, Episodes, Scenario, environments_of, make_controller
+from .scenario import Scenario, environments_of
 
 SAMPLES_PER_PERIOD = 10
 MAX_SAMPLES = 200_000_000  # of all episodes together; a recorded sample of a planar machine takes 32 bytes

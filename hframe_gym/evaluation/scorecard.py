@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 from ..machine import AXIS_UNITS, AxisUnit
 from ..web_page import Panel, number, write_page
 from .advice import assumptions, next_steps, worst_move
+from .episodes import Command, Episodes
 from .metrics import mean_with_interval, ranked_episodes, settling_times
 from .plots import distance_panel, distribution_panel, episode_panels, interval_panel, success_panel
 from .reported_scores import (
@@ -19,7 +20,6 @@ from .reported_scores import (
     unit_of_scores,
     unknown_bound_reasons,
 )
-from .scenario import Command, Episodes
 
 _FURTHER_METRICS = {  # column headings of the metrics that all tasks have
     **{f"overshoot_{unit.small}": f"overshoot, {unit.small}" for unit in AXIS_UNITS.values()},

@@ -26,7 +26,7 @@ from hframe_gym.evaluation import (
     write_scores,
 )
 from hframe_gym.evaluation.advice import assumptions
-from hframe_gym.evaluation.scenario import Command
+from hframe_gym.evaluation.episodes import Command
 from hframe_gym.machine import BUILTIN_MACHINES
 
 pytestmark = pytest.mark.integration
