@@ -23,14 +23,10 @@ from .base import (
     CONTROLLERS,
     Controller,
     EpisodeStarts,
-    Estimator,
     FullStateController,
-    OutputFeedbackController,
-    UnitCheck,
-    check_period,
     suited_controllers,
 )
-from .control_period import period_concern, shorter_period
+from .control_period import check_period, period_concern, shorter_period
 from .environment_controller import EnvironmentController
 from .estimation.encoder_drift import encoders_drift
 from .estimation.estimation_model import ParameterRatios
@@ -41,6 +37,8 @@ from .model_based_controller import ModelBasedController
 from .models.input_compensation import DeadTime, InputInversion
 from .models.linear_motion import SimulatedTransfers
 from .models.motion_model import MotionModel, OperatingPointGrid
+from .observation_checks import UnitCheck
+from .output_feedback import Estimator, OutputFeedbackController
 from .planning.finite_horizon_control import (
     MinimumEnergyTransfers,
     PreviewGains,

@@ -1,14 +1,25 @@
-"""Control periods at which a controller can damp the vibrations of a machine on its belts."""
+"""Control periods: those that controllers accept, and those at which they can damp the vibrations of a machine."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from ..dynamics import belt_modes
+from ..errors import InputError
 from ..machine import Machine
 
+# s. The preview and the horizon of the controllers last a fixed time, so that a shorter period costs time and memory.
+SHORTEST_PERIOD, LONGEST_PERIOD = 1e-5, 10.0
 # Control periods per period of the slowest belt mode, at least, where one is suggested.
 SAMPLES_PER_MODE = 4.0
+
+
+def check_period(period: float) -> float:
+    """Return the control `period`, s; an InputError refuses one outside 1e-5 s to 10 s, the limits of the design."""
+    if not SHORTEST_PERIOD <= period <= LONGEST_PERIOD:
+        limits = f"{SHORTEST_PERIOD:g} to {LONGEST_PERIOD:g} s"
+        raise InputError(f"period is {period!r}, it must be a positive number of seconds from {limits}")
+    return float(period)
 
 
 def shorter_period(machine: Machine, period: float) -> float | None:

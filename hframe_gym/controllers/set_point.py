@@ -23,7 +23,8 @@ from ..arrays import Actions, Array, KeyedObservation, Mask
 from ..dynamics import linearize
 from ..errors import InputError
 from ..machine import DRIVE_KINDS, Drive, Machine, motion_limits, rest_positions_per_axis
-from .base import CONTROLLERS, Controller, EpisodeStarts, Feedback, check_goal_units, check_keys
+from .base import CONTROLLERS, Controller, EpisodeStarts, Feedback
+from .observation_checks import check_goal_units, check_keys
 
 # Part of the drives' largest force that accelerates along one axis. The rest is left for the other axis, for friction
 # and for the loops, which lose the set point while their torque is at its limit.

@@ -33,7 +33,8 @@ from ...arrays import Array, Mask, TravelStates, Volts
 from ...dynamics import simulate_batch
 from ...errors import InputError
 from ...machine import Machine, rigid_counterpart
-from ..base import SIMULATION_STEP_S, EpisodeStarts, check_period
+from ..base import SIMULATION_STEP_S, EpisodeStarts
+from ..control_period import check_period
 from ..models.input_compensation import DeadTime
 from ..models.motion_model import MotionModel
 from .estimation_model import AugmentedParameters, MeasurementModel

@@ -38,7 +38,7 @@ from numpy.typing import NDArray
 
 from ...arrays import Array, ElapsedTimes, Mask, ToolPositions, TravelStates, Volts
 from ...dynamics import belt_modes
-from ..base import check_period
+from ..control_period import check_period
 from ..models.linear_motion import reachability, scaled_matrices, state_scale
 from ..models.motion_model import MotionModel, OperatingPointGrid
 
