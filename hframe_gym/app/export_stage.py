@@ -48,7 +48,7 @@ class ExportStage(Stage):
 
     @override
     def commands(self) -> list[list[str]]:
-        """Return the command that exports; kinds that take no machine, such as a policy, get none."""
+        """Return the command that exports, without a machine for kinds that take none, such as a policy."""
         exporter = EXPORTERS.get(self._kind)
         takes_machine = "machine" in {f.name for f in dataclasses.fields(exporter)}
         machine = self.session.corrected if takes_machine else None

@@ -73,12 +73,12 @@ def check_state_units(observation: KeyedObservation, model: MotionModel) -> None
 
 
 def check_goal_units(observation: KeyedObservation, machine: Machine) -> None:
-    """Check that the goals of an environment's observation lie in a machine's workspace, as those in meters do.
+    """Check that the goals of an observation are in m or rad and not normalized: they lie in the machine's workspace.
 
     Only observations of environments, which have `achieved_goal`, are checked.
 
     Raises:
-        InputError: If a goal is outside.
+        InputError: If a goal is outside the workspace.
     """
     for key in ("achieved_goal", "desired_goal") if "achieved_goal" in observation else ():
         columns = np.asarray(observation[key]).T

@@ -230,10 +230,14 @@ class Machine:
         return sensor.coordinate
 
     def coordinate_of_site(self, site: str, kind: SiteKind) -> str | None:
-        """Return the coordinate on which an effect acts: its site, what the drive moves or the sensor measures.
+        """Return the coordinate on which an effect acts, given the component that is its site.
 
-        It is None for a belt, for "drives", "belts" and "machine" (several coordinates), and for unknown
-        sites. The kind (`Effect.site`) is needed because different components may have the same name.
+        It is the site itself, what the drive there moves, or what the sensor there measures. It is None for a belt, for
+        "drives", "belts" and "machine" (several coordinates), and for unknown sites.
+
+        Args:
+            site: Name of the component, such as "x", "motor1" or "x_m".
+            kind: Kind of the component (`Effect.site`), because components of different kinds may have the same name.
         """
         coordinates = {
             "coordinate": {name: name for name in self.coordinate_names},

@@ -372,10 +372,14 @@ def _is_ending(name: str, ending: str) -> bool:
 
 @lru_cache(maxsize=4096)
 def meaning_of(name: str, unit: str) -> Meaning:
-    """Determine what a column contains from its name and its unit, which is normalized or "".
+    """Determine what a column contains from its name and its unit.
 
     A unit decides, except where several quantities share it: percent is a duty cycle unless the name says of what
     ("torque [%]"), and "nm" is a length unless the name is that of a torque.
+
+    Args:
+        name: Name of the column without its unit.
+        unit: Unit in the spelling of `normalize_unit`; "" if none is stated.
     """
     named, role = _named_quantity(name), _role(name)
     quantity = _QUANTITY_OF_UNIT.get(unit, "")

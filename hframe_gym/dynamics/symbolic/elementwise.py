@@ -163,7 +163,7 @@ def named(role: str, index: int, value: Any) -> Any:
 
     The names make this text, which `hframe kernel` prints, readable; they do not change results.
     """
-    return value.name_as(role, index) if isinstance(value, Expression) else value
+    return value.trace.let(role, index, value) if isinstance(value, Expression) else value
 
 
 def update_if_any(
@@ -193,7 +193,7 @@ def _apply(name: str, *operands: Any) -> Any:
         if isinstance(operand, _NUMPY_TYPES):
             continue
         if isinstance(operand, Expression):
-            return operand.traced_function(name, operands)
+            return operand.trace.node(name, *operands)
         if type(operand).__module__.partition(".")[0] == "casadi":
             return _casadi_functions()[name](*operands)
     return _NUMPY[name](*operands)

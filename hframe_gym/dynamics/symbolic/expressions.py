@@ -73,14 +73,6 @@ class Expression:
         """Whether the expression is a number or a variable, for which the generated code computes nothing."""
         return self.operation in ("number", "variable")
 
-    def traced_function(self, name: str, operands: Sequence[Any]) -> Expression:
-        """Return the expression that applies a function of `elementwise`, such as sin, to some operands."""
-        return self.trace.node(name, *operands)
-
-    def name_as(self, role: str, index: int) -> Expression:
-        """Give the expression the name `role_index` in the generated source text, and compute it at this point."""
-        return self.trace.let(role, index, self)
-
     def __bool__(self) -> bool:
         raise TypeError(
             "a formula cannot branch on its arguments (`hframe_gym.dynamics.elementwise.where` selects a value)"

@@ -68,15 +68,17 @@ def recording_files(folder: Path) -> list[Path]:
 def compressed_by_name(
     path: Path, file: IO[bytes], level: int = 9
 ) -> AbstractContextManager[IO[bytes] | gzip.GzipFile]:
-    """Return a context in which a CSV file is written, compressed by gzip if its name ends in .gz.
+    """Return a stream that writes to an opened file, compressed by gzip if the file's name ends in .gz.
 
     Equal contents give identical files, because the header of gzip gets no name and no time.
 
     Args:
+        path: Name that the file will have; only its suffix matters.
+        file: File that is open for writing bytes.
         level: Compression level of gzip, 0 to 9; higher levels take longer and save space.
 
     Returns:
-        Context whose value takes the text of the table as bytes.
+        Stream for bytes, to be used in a `with` statement, at whose end the compressed data are complete.
     """
     if path.suffix != ".gz":
         return nullcontext(file)
