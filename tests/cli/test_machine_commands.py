@@ -25,7 +25,7 @@ from hframe_gym.recordings import MachineOptions, load_machine, machine_to_dict,
 pytestmark = pytest.mark.integration
 
 Command = Callable[..., tuple[int, str, str]]
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "machine.md").read_text("utf-8")
 
 

@@ -17,7 +17,7 @@ from benchmarks.faults.determinism import determinism
 from hframe_gym.cli import app
 from hframe_gym.cli.messages import describe_failure
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 needs_signals = pytest.mark.skipif(
     sys.platform == "win32", reason="Windows cannot send SIGINT or SIGTERM to a process"
 )
