@@ -78,7 +78,10 @@ QUANTITIES: dict[str, Quantity] = {
     "force": Quantity("a", {"N": (1, 1), "mN": (1, 1e3), "kN": (1e3, 1)}, ("force", "kraft", "thrust")),
     "length": Quantity(
         "a",
-        {"m": (1, 1), "cm": (1, 1e2), "mm": (1, 1e3), "um": (1, 1e6), "nm": (1, 1e9), "in": (0.0254, 1)},
+        {
+            **{"m": (1, 1), "cm": (1, 1e2), "mm": (1, 1e3), "um": (1, 1e6), "nm": (1, 1e9)},
+            **{"in": (0.0254, 1), "ft": (0.3048, 1)},
+        },
         ("displacement", "distance", "stroke", "travel", "weg", "hub", "abstand"),
         "position",
     ),
@@ -102,7 +105,13 @@ QUANTITIES: dict[str, Quantity] = {
     ),
     "position": Quantity("a", {}, ("position", "pos", "encoder", "laser"), "position"),
     "linear speed": Quantity(
-        "a", {"m/s": (1, 1), "mm/s": (1, 1e3), "cm/s": (1, 1e2), "mm/min": (1, 6e4)}, (), "speed"
+        "a",
+        {
+            **{"m/s": (1, 1), "mm/s": (1, 1e3), "cm/s": (1, 1e2), "mm/min": (1, 6e4)},
+            **{"in/s": (0.0254, 1), "ft/s": (0.3048, 1)},
+        },
+        (),
+        "speed",
     ),
     "angular speed": Quantity(
         "an",
@@ -200,15 +209,18 @@ _SPELLINGS = {
     "mm": ("millimeter", "millimeters", "millimetres"),
     "um": ("µm", "μm", "micrometers"),
     "in": ("inch", "inches"),
+    "ft": ("foot", "feet"),
     "rad": ("radian", "radians"),
     "deg": ("°", "degree", "degrees"),
     "rev": ("turn", "turns", "revs", "revolutions", "rotation", "rotations"),
     "m/s": ("mps", "m/sec"),
     "mm/s": ("mmps", "mm/sec"),
+    "in/s": ("in/sec", "inch/s", "inches/s"),
+    "ft/s": ("ft/sec", "feet/s"),
     "rad/s": ("radps", "rad/sec"),
     "deg/s": ("dps", "°/s", "deg/sec", "degps"),
-    "rpm": ("1/min", "u/min", "rev/min", "r/min", "min^-1", "1/minute"),
-    "rev/s": ("rps", "turn/s", "turns/s", "rotations/s", "1/s", "rev/sec"),
+    "rpm": ("1/min", "u/min", "rev/min", "r/min", "min^-1", "1/minute", "tr/min", "tours/min"),
+    "rev/s": ("rps", "turn/s", "turns/s", "rotations/s", "1/s", "rev/sec", "tr/s"),
     "m/s^2": ("mps2", "m/s2", "m/s/s", "m/sec^2"),
     "mm/s^2": ("mmps2", "mm/s2", "mm/s/s"),
     "rad/s^2": ("rad/s2", "radps2", "rad/s/s"),
@@ -313,7 +325,9 @@ def normalize_unit(text: str) -> str:
     compact = re.sub(r"(?<=[a-z°])(?:s\^?-1)$", "/s", re.sub(r"(?<=[a-z°])(?:s\^?-2)$", "/s^2", compact))
     if compact in _QUANTITY_OF_UNIT:
         return compact
-    return _KNOWN.get(compact.lower(), plain)
+    lower = compact.lower()
+    # Points end abbreviations: "deg./s".
+    return _KNOWN.get(lower) or _KNOWN.get(lower.replace(".", ""), plain)
 
 
 def is_unit(text: str) -> bool:

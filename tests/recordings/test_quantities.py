@@ -33,6 +33,10 @@ from hframe_gym.recordings.quantities import QUANTITIES, meaning_of, normalize_u
         ("torque_Nm", "torque", "Nm"),
         ("M [N m]", "M", "Nm"),
         ("temp_C", "temp", "degC"),
+        ("Vitesse (deg./s)", "Vitesse", "deg/s"),
+        ("n [tr/min]", "n", "rpm"),
+        ("Enc1 [in/s]", "Enc1", "in/s"),
+        ("height_ft", "height", "ft"),
         ("TIME_S", "TIME", "s"),
         ("rpm", "rpm", "rpm"),  # a name that is a unit
         ("ms", "ms", "ms"),

@@ -38,6 +38,10 @@ _COMMENTS_WITH_NAMES = 3  # last comments above the data in which the names of t
 _LABEL = re.compile(r"(?<![\w.])(?!(?:nan|inf)\b)[^\W\d][^:;,|\t\n]{0,40}:[ \t]*")
 # Between time stamp and text in Arduino's serial monitor.
 _ARROW = re.compile(r"(?m)^(\d\d:\d\d:\d\d\.\d+) -> ")
+# Brackets around a matrix, as ECP's programs write it.
+_BRACKET = re.compile(r"(?m)^[ \t]*\[(?=[ \t]*[-+.\d])|(?<=\d)[ \t]*\](?=[ \t]*[;,]?[ \t]*$)")
+# Between the names of columns whose values blanks separate, where the names have blanks themselves.
+_GAP_OF_NAMES = re.compile(r" *\t[ \t]*| {2,}[ \t]*")
 # Row between two equal letters, as SimpleFOC's monitor writes it.
 _ENCLOSED = re.compile(r"(?P<letter>[A-Za-z])[-+.\d][-+.\d\t]*\d(?P=letter)[ \t]*")
 # Last cells of a header that are no columns: LabVIEW's comments, start and increment of the time of an oscilloscope.
@@ -258,10 +262,14 @@ def _edits(lines: Sequence[str]) -> tuple[list[tuple[re.Pattern[str], str]], lis
     recording.
     """
     rows = [line.rstrip(" ") for line in lines if not _is_comment(line) and any(map(str.isdigit, line))]
-    starting = [row for row in rows if _ROW_START.match(row)]
-    without_arrow = [_ARROW.sub("", row) for row in rows]
     edits: list[tuple[re.Pattern[str], str]] = []
     remarks = []
+    if any(map(_BRACKET.match, rows)):
+        edits.append((_BRACKET, ""))
+        remarks.append("brackets enclose the rows")
+        rows = [_BRACKET.sub("", row) for row in rows]
+    starting = [row for row in rows if _ROW_START.match(row)]
+    without_arrow = [_ARROW.sub("", row) for row in rows]
     has_arrow = sum(_ARROW.match(row) is not None for row in starting) > _MOST * len(starting)
     if has_arrow:
         edits.append((_ARROW, rf"\1{_detect_separator(without_arrow)}"))
@@ -269,9 +277,9 @@ def _edits(lines: Sequence[str]) -> tuple[list[tuple[re.Pattern[str], str]], lis
     if letter := _enclosing_letter(without_arrow):
         edits.append((re.compile(rf"(?m)(?:^|(?<=\t)){letter}(?=[-+.\d])|(?<=\d){letter}[ \t]*$"), ""))
         remarks.append(f"the letter {letter} encloses each row")
-    labels = _labels(without_arrow[-_CONSECUTIVE:])
+    label, labels = _labels(without_arrow, [line for line in lines if not _is_comment(line)])
     if labels:
-        edits.append((_LABEL, ""))
+        edits.append((label, ""))
         labels = ["", *labels] if has_arrow else labels
         remarks.append("each cell begins with the name of its column")
     for row_end in _ROW_ENDS:
@@ -291,8 +299,36 @@ def _enclosing_letter(rows: Sequence[str]) -> str:
     return letters.pop() if enough and len(letters) == 1 else ""
 
 
-def _labels(rows: Sequence[str]) -> list[str]:
-    """Return the names that stand before the numbers of all rows; none if a row has others, or no such names."""
+def _labels(rows: Sequence[str], lines: Sequence[str]) -> tuple[re.Pattern[str], list[str]]:
+    """Return the pattern and the names of texts before the numbers of all last rows; no names if a row differs.
+
+    A colon follows a name ("speed:1.5"), or the separator of the cells ("speed,1.5,current,0.2") if no line is a header.
+    """
+    for last in (rows[-_CONSECUTIVE:], rows[-_CONSECUTIVE - 1 : -1]):  # the last row may be incomplete
+        if names := _labels_with_colon(last):
+            return _LABEL, names
+        for separator in _SEPARATORS:
+            names = _labels_in_cells(last, separator)
+            cells = [split_row(line, separator) for line in lines] if names else []
+            if names and all(row[::2] == names for row in cells if len(row) == 2 * len(names)):
+                words = "|".join(map(re.escape, sorted(names, key=len, reverse=True)))
+                mark = "[ \t]+" if separator == _WHITESPACE else rf"[ \t]*{re.escape(separator)}"
+                return re.compile(rf"(?m)(?:^|(?<={re.escape(separator)}))[ \t]*(?:{words}){mark}"), names
+    return _LABEL, []
+
+
+def _labels_in_cells(rows: Sequence[str], separator: str) -> list[str]:
+    """Return the names in every second cell of all rows, from the first one on, between numbers; none if a row differs."""
+    cells = [split_row(row, separator) for row in rows]
+    names = cells[0][::2] if cells and len(cells[0]) > 2 else []
+    alike = all(row[::2] == names and len(row) == 2 * len(names) for row in cells)
+    texts = not any(is_number_or_stamp(name) or is_missing(name) for name in names)
+    numbers = all(_NUMBER.fullmatch(cell) or is_missing(cell) for row in cells for cell in row[1::2])
+    return names if alike and texts and numbers else []
+
+
+def _labels_with_colon(rows: Sequence[str]) -> list[str]:
+    """Return the names with a colon that stand before the numbers of all rows; none if a row has others."""
     names = [[match[0].rstrip(": \t").strip() for match in _LABEL.finditer(row)] for row in rows]
     alike = all(of_row == names[0] for of_row in names)
     found = alike and all(
@@ -330,7 +366,7 @@ def _is_data(row: Sequence[str], least: float = 0.5) -> bool:
     """Return whether at least a fraction of the cells of a row that have a value are numbers or time stamps."""
     numbers = texts = 0
     for cell in row:
-        if _is_number_or_stamp(cell):
+        if is_number_or_stamp(cell):
             numbers += 1
         elif not is_missing(cell):
             texts += 1
@@ -342,7 +378,7 @@ def _is_row(row: Sequence[str]) -> bool:
     return _is_data(row) or (any(row) and all(map(is_missing, row)))
 
 
-def _is_number_or_stamp(cell: str) -> bool:
+def is_number_or_stamp(cell: str) -> bool:
     """Return whether a cell is a number or a time stamp."""
     return _NUMBER.fullmatch(cell) is not None or is_stamp(cell)
 
@@ -358,7 +394,7 @@ def _first_row(cells: Sequence[Sequence[str]]) -> tuple[int, int]:
         return len(cells), len(cells[filled[-1]]) if filled else 0
     width = widths.most_common(1)[0][0]
     for k, i in enumerate(filled):
-        begins_with_value = _is_number_or_stamp(cells[i][0]) or is_missing(cells[i][0])
+        begins_with_value = is_number_or_stamp(cells[i][0]) or is_missing(cells[i][0])
         following = filled[k : k + (_CONSECUTIVE if begins_with_value else _CONSECUTIVE_TEXTS)]
         is_first = len(cells[i]) == width and (width > 2 or begins_with_value)
         if is_first and _is_data(cells[i]) and all(_is_row(cells[j]) for j in following):
@@ -402,7 +438,10 @@ def _detect_header(
         if _is_comment(lines[i]):
             above.append(_LineAbove(i, _cells_of_comment(lines[i], widths, separator), True))
         elif any(cells[i]):
-            above.append(_LineAbove(i, _fitting(cells[i], widths), False))
+            fitting = _fitting(cells[i], widths)
+            if not fitting and separator == _WHITESPACE:
+                fitting = _fitting(_GAP_OF_NAMES.split(lines[i].strip()), widths)
+            above.append(_LineAbove(i, fitting, False))
     names, units = _names_and_units(above)
     used = [line.number for line in (names, units) if line is not None]
     if names is None:
@@ -451,13 +490,21 @@ def _names_and_units(above: Sequence[_LineAbove]) -> tuple[_LineAbove | None, _L
     if start is None:
         return None, None
     place = above.index(start)
-    before = above[place - 1] if place and above[place - 1].cells else None
+    before = _nearest_names(above[:place])
     after = above[place + 1] if place + 1 < len(above) and above[place + 1].cells else None
     if start.has_units and before is not None and not before.has_only_bracketed_units:
         return before, start
     if start.has_only_bracketed_units:
         return None, start
     return start, next((line for line in (after, before) if line is not None and line.has_units), None)
+
+
+def _nearest_names(above: Sequence[_LineAbove]) -> _LineAbove | None:
+    """Return the last line that may have names; lines of numbers below it, such as sampling periods, have none."""
+    for line in reversed(above):
+        if not line.cells or not all(map(is_number_or_stamp, filter(None, line.cells))):
+            return line if line.cells else None
+    return None
 
 
 def _decimal_and_kinds(rows: Sequence[Sequence[str]], width: int) -> tuple[str, list[str]]:

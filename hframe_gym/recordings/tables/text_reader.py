@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ...arrays import Array
 from ...errors import InputError
 from ...files import refuse_expansion, refuse_long_line, refuse_many_values
-from .text_format import MISSING_WORDS, TextFormat, is_missing, open_text, split_row
+from .text_format import MISSING_WORDS, TextFormat, is_missing, is_number_or_stamp, open_text, split_row
 
 # Called with the number of bytes of the file that were read since the last call.
 Progress = Callable[[int], None]
@@ -29,6 +29,8 @@ _COMMENT = re.compile(r"(?mi)^[ \t]*(?:#(?!n/?a|num!|value!|ref!|div/)|%|//).*(?
 _SEPARATORS_ONLY = re.compile(r"(?m)^[,; \t]*\n")
 _CELL_SEPARATOR = "\x1f"
 _SHOWN = 40  # characters of a faulty row that a message repeats
+# Lines below the data, such as settings of the controller: more than these are a damaged table.
+_MOST_LINES_BELOW = 100
 # Decimal commas become points. Points, which then separate thousands, become a character that numbers do not have.
 _FOREIGN_MARK = "'"
 _FROM_DECIMAL_COMMA = str.maketrans(",.", "." + _FOREIGN_MARK)
@@ -62,15 +64,15 @@ def read_columns(
     """Read columns of numbers and time stamps from a text file.
 
     Args:
-        lenient: Whether to leave out comment lines, rows without any value, and the last row if it is incomplete.
-            Otherwise, a comment or an incomplete row is an error, and a row without values is read as NaN.
+        lenient: Whether to leave out comment lines, rows without any value, lines of text below the data, and the last
+            row if it is incomplete. Otherwise, these are errors, and a row without values is read as NaN.
         progress: Called with the number of bytes read since the last call.
         max_rows: Number of rows after which reading stops. Default: all rows are read.
 
     Returns:
         values: One array per column, in the unit of the file, shape (rows,): float64, NaN where a cell is empty, or
             datetime64[ns] for a column of time stamps (NaT where empty; times of day have the date 1970-01-01).
-        remarks: Sentences for the user about comment lines and an incomplete last row that were left out.
+        remarks: Sentences for the user about lines and an incomplete last row that were left out.
 
     Raises:
         InputError: If the file cannot be read, rows differ in length, or a cell is not a number. The message names
@@ -96,6 +98,9 @@ def read_columns(
         )
     if reader.incomplete:
         remarks.append("the last row is incomplete and left out")
+    if reader.lines_below:
+        lines = "1 line" if reader.lines_below == 1 else f"{reader.lines_below} lines"
+        remarks.append(f"{lines} below the data left out")
     return [values[c] for c in columns], remarks
 
 
@@ -154,6 +159,7 @@ class _BlockReader:
         stamp_blocks: Time stamps of each block, one array per stamp column.
         comments: Number of comment lines left out.
         incomplete: Whether the last row was left out.
+        lines_below: Number of lines below the data left out.
     """
 
     def __init__(self, path: Path, layout: TextFormat, columns: Sequence[int], lenient: bool) -> None:
@@ -163,7 +169,7 @@ class _BlockReader:
         self.stamps = [c for c in columns if layout.kinds[c] == "stamp"]
         self.tables: list[Array] = []
         self.stamp_blocks: list[list[NDArray[np.datetime64]]] = []
-        self.comments, self.incomplete = 0, False
+        self.comments, self.incomplete, self.lines_below = 0, False, 0
 
     def add(self, block: str, is_last: bool) -> None:
         """Convert one block of lines; the first faulty cell is refused."""
@@ -174,21 +180,21 @@ class _BlockReader:
             block = self._layout.edited(block)
             if self._layout.separator != " ":
                 block = _SEPARATORS_ONLY.sub("", block)
-        # The last row may be incomplete, which the next block decides.
-        block = self._held + block
+        block = re.sub(r"\n\s*\n", "\n", self._held + block).strip("\n")
         self._held = ""
-        if not is_last:
-            body, _, last = block.rstrip("\n").rpartition("\n")
-            self._held, block = last + "\n", body
-        block = re.sub(r"\n\s*\n", "\n", block).strip("\n")
+        block, below = self._split_end(block) if self._lenient else (block, [])
+        if (
+            not is_last
+        ):  # the last row may be incomplete, and lines below it may be faulty rows: the next block decides
+            block, _, last = block.rpartition("\n")
+            self._held = "".join(f"{line}\n" for line in (last, *below))
+        elif self._lenient:
+            self.lines_below = len(below)
+            body, _, last = block.rpartition("\n")
+            if not below and len(split_row(last, self._layout.separator)) < len(self._layout.names):
+                self.incomplete, block = True, body
         if not block.strip():
             return
-        if is_last and self._lenient:
-            body, _, last = block.rpartition("\n")
-            if len(split_row(last, self._layout.separator)) < len(self._layout.names):
-                self.incomplete, block = True, body
-                if not block:
-                    return
         text, width = self._with_commas(block), len(self._layout.names)
         rows = text.count("\n") + 1
         regular = text.count(",") in (rows * (width - 1), rows * width)
@@ -200,6 +206,24 @@ class _BlockReader:
             raise InputError(f"{self._path}, rows {self._rows + 1} to {last_row}: cannot be read as numbers")
         self._rows += rows
         refuse_many_values(self._path, self._rows, len(self.numbers) + len(self.stamps))
+
+    def _split_end(self, block: str) -> tuple[str, list[str]]:
+        """Split lines into those up to the last row, and lines of text below it, such as settings of a controller."""
+        lines = block.rsplit("\n", _MOST_LINES_BELOW)
+        end = len(lines)
+        while end > 1 and not self._may_be_row(lines[end - 1]):
+            end -= 1
+        return "\n".join(lines[:end]), lines[end:]
+
+    def _may_be_row(self, line: str) -> bool:
+        """Return whether a line begins with a value, as an incomplete row does too, or has a value in each column."""
+        cells = split_row(line, self._layout.separator) or [""]
+        if is_number_or_stamp(cells[0]) or is_missing(cells[0]):
+            return True
+        kinds = self._layout.kinds
+        values = [cell for cell, kind in zip(cells, kinds, strict=False) if kind == "number"]
+        is_complete = len(cells) in (len(kinds), len(kinds) + 1)
+        return is_complete and all(is_number_or_stamp(cell) or is_missing(cell) for cell in values)
 
     def _with_commas(self, block: str) -> str:
         """Return lines with commas between the cells and decimal points."""

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hframe_gym.errors import InputError
 from hframe_gym.recordings.logs.log import Log
 from hframe_gym.recordings.logs.log_files import open_logs
 from hframe_gym.recordings.tables.text_format import detect_format
@@ -158,6 +159,33 @@ DIALECTS = {
         ("Zeit", "Motorspannung", "Sollweg"),
         ("s", "V", "mm"),
     ),
+    "names before the numbers, commas": Dialect(
+        "PuTTY log 2018.05.08\n" + plotted(",", ",") + "t,0.0",
+        ("t", "u", "x"),
+        ("", "", ""),
+        "name of its column",
+    ),
+    "names before the numbers, blanks": Dialect(plotted(" ", " "), ("t", "u", "x"), ("", "", "")),
+    "ECP": Dialect(
+        " Sample   Time     Control Effort\n\n[" + rows("  ", end=";")[:-2] + "]\n",
+        ("Sample", "Time", "Control Effort"),
+        ("", "", ""),
+        "brackets enclose the rows",
+    ),
+    "a sampling period for each column": Dialect(
+        "Temps;Tension;Position\nT1.CRB;U1.CRB;P1.CRB\n3,978;3,978;3,978\ns;V;deg.\n"
+        + rows(";").replace(".", ","),
+        ("T1.CRB", "U1.CRB", "P1.CRB"),
+        ("s", "V", "deg"),
+        "a row of units is below the header",
+    ),
+    "settings below the data": Dialect(
+        "Temps;Courant;Vitesse\nms;mA;tr/min\n"
+        + rows(";").replace(".", ",")
+        + "\nParamètre AXE :;1\nVitesse :;3000;0\nSécurité\nPosition :;2420;8340\n",
+        ("Temps", "Courant", "Vitesse"),
+        ("ms", "mA", "rpm"),
+    ),
     "forty rows of nan": Dialect("t,u,x\n" + "nan,nan,nan\n" * 40 + rows(","), ("t", "u", "x"), ("", "", "")),
 }
 
@@ -179,6 +207,38 @@ def test_a_log_of_a_dialect_has_its_names_units_and_values(name: str, tmp_path: 
     values, _ = log.read(log.columns)
     for read, written in zip(values, (TIME, VOLTAGE, POSITION), strict=True):
         np.testing.assert_allclose(read[np.isfinite(read)], written, rtol=1e-6, atol=1e-12)
+
+
+def test_columns_of_equal_texts_under_a_header_are_no_names(tmp_path: Path) -> None:
+    log = opened(tmp_path, "mode,t,status,x\n" + "auto,0.1,ok,1.5\n" * 5)
+    assert [column.name for column in log.columns] == ["mode", "t", "status", "x"]
+
+
+@pytest.mark.parametrize(
+    ("below", "said"),
+    [
+        ("Gains\nposition,2420,8340\n", "2 lines below the data left out"),
+        ("\nend\n", "1 line below the data left out"),
+        ("x,y\n" * 100, "100 lines below the data left out"),
+        ("", ""),
+    ],
+)
+@pytest.mark.parametrize("count", [30, 400_000])
+def test_lines_of_text_below_the_data_are_left_out_and_counted(
+    below: str, said: str, count: int, tmp_path: Path
+) -> None:
+    log = opened(tmp_path, "t,u,x\n" + "".join(f"{k},0.25,1.5\n" for k in range(count)) + below)
+    values, remarks = log.read(log.columns)
+    assert len(values[0]) == count
+    assert values[2][-1] == 1.5
+    assert "; ".join(remarks) == said
+
+
+@pytest.mark.parametrize("below", ["x,y\n" * 101, "pause\n30,1,2\n", "30,1,2,4,5\n31,1,2\n"])
+def test_lines_of_text_among_rows_are_refused(below: str, tmp_path: Path) -> None:
+    log = opened(tmp_path, "t,u,x\n" + "".join(f"{k},0,1\n" for k in range(30)) + below)
+    with pytest.raises(InputError, match="row 31"):
+        log.read(log.columns)
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 20])
