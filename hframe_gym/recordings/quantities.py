@@ -79,8 +79,13 @@ QUANTITIES: dict[str, Quantity] = {
     "length": Quantity(
         "a",
         {
-            **{"m": (1, 1), "cm": (1, 1e2), "mm": (1, 1e3), "um": (1, 1e6), "nm": (1, 1e9)},
-            **{"in": (0.0254, 1), "ft": (0.3048, 1)},
+            "m": (1, 1),
+            "cm": (1, 1e2),
+            "mm": (1, 1e3),
+            "um": (1, 1e6),
+            "nm": (1, 1e9),
+            "in": (0.0254, 1),
+            "ft": (0.3048, 1),
         },
         ("displacement", "distance", "stroke", "travel", "weg", "hub", "abstand"),
         "position",
@@ -107,8 +112,12 @@ QUANTITIES: dict[str, Quantity] = {
     "linear speed": Quantity(
         "a",
         {
-            **{"m/s": (1, 1), "mm/s": (1, 1e3), "cm/s": (1, 1e2), "mm/min": (1, 6e4)},
-            **{"in/s": (0.0254, 1), "ft/s": (0.3048, 1)},
+            "m/s": (1, 1),
+            "mm/s": (1, 1e3),
+            "cm/s": (1, 1e2),
+            "mm/min": (1, 6e4),
+            "in/s": (0.0254, 1),
+            "ft/s": (0.3048, 1),
         },
         (),
         "speed",

@@ -318,7 +318,7 @@ def _labels(rows: Sequence[str], lines: Sequence[str]) -> tuple[re.Pattern[str],
 
 
 def _labels_in_cells(rows: Sequence[str], separator: str) -> list[str]:
-    """Return the names in every second cell of all rows, from the first one on, between numbers; none if a row differs."""
+    """Return the names in the first, third, ... cell of all rows, before numbers; none if a row differs."""
     cells = [split_row(row, separator) for row in rows]
     names = cells[0][::2] if cells and len(cells[0]) > 2 else []
     alike = all(row[::2] == names and len(row) == 2 * len(names) for row in cells)
