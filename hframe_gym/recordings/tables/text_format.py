@@ -302,7 +302,7 @@ def _enclosing_letter(rows: Sequence[str]) -> str:
 def _labels(rows: Sequence[str], lines: Sequence[str]) -> tuple[re.Pattern[str], list[str]]:
     """Return the pattern and the names of texts before the numbers of all last rows; no names if a row differs.
 
-    A colon follows a name ("speed:1.5"), or the separator of the cells ("speed,1.5,current,0.2") if no line is a header.
+    A colon follows a name ("speed:1.5"), or, if no line is a header, the separator of the cells ("speed,1.5,x,0.2").
     """
     for last in (rows[-_CONSECUTIVE:], rows[-_CONSECUTIVE - 1 : -1]):  # the last row may be incomplete
         if names := _labels_with_colon(last):
