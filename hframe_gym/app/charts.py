@@ -29,11 +29,9 @@ def curves_chart(
     dark: bool,
     x_name: str = "time, s",
     intervals: Sequence[Interval] = (),
-    window: tuple[float, float] | None = None,
 ) -> dict[str, Any]:
-    """Return options of ECharts for one or more curves, one below another, over the times of `window`, s, or all."""
-    first = min(float(c.time[0]) for c in curves) if window is None else window[0]
-    last = max(float(c.time[-1]) for c in curves) if window is None else window[1]
+    """Return options of ECharts for one or more curves, one below another, with intervals of time that are marked."""
+    first, last = min(float(c.time[0]) for c in curves), max(float(c.time[-1]) for c in curves)
     options = _frame(dark)
     for k, curve in enumerate(curves):
         top = _TOP + k * (_PLOT + _GAP)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import dataclasses
 import html
 from pathlib import Path
@@ -24,14 +23,13 @@ from ..recordings import (
     propose_columns,
     run_of,
 )
-from .charts import curves_chart, height_of, with_selection, with_zoom
-from .log_columns import LogView, open_log, run_size, thinned, view_log
+from .log_chart import LogChart
+from .log_columns import LogView, open_log, run_size, view_log
 from .session import CONTROL, EXPORTS, FINDINGS, RESULT, RUNS, ImportChoices, import_command
 from .stage import Stage, State, banner, heading, table
 
 _RATE = "rate"
 _AS_LOGGED = ""
-_MOST_CURVES = 24  # columns that are drawn; logs of machine tools have hundreds
 _MOST_RUNS = 200  # rows of the table of runs
 _SPLITS = {
     "": "one run per log",
@@ -59,13 +57,12 @@ class LogsStage(Stage):
         self._chosen: set[str] = set()  # channels that the user has set
         self._shown = ""  # name of the log that is drawn
         self._view: LogView | None = None
-        self._chart: Any = None
+        self._chart: LogChart | None = None
         self._notes: dict[str, Any] = {}
         self._units: dict[str, Any] = {}
         self._problem: Any = None
         self._cuts: Any = None
         self._span: tuple[Any, Any] | None = None
-        self._window: tuple[float, float] | None = None
 
     @override
     def missing(self) -> tuple[str, str] | None:
@@ -120,7 +117,7 @@ class LogsStage(Stage):
             names = [path.name for path in logs]
             choice = ui.select(names, value=self._shown, label="log", on_change=lambda e: self._draw(e.value))
             choice.props("dense outlined options-dense").style("max-width: 22rem")
-        self._chart = ui.element("div").classes("hf-chart")
+        self._chart = LogChart(self.page.dark, self._selected)
         heading("Runs")
         self._cutting()
         self.command_box()
@@ -238,7 +235,7 @@ class LogsStage(Stage):
 
     def _draw(self, name: str) -> None:
         """Draw another log."""
-        self._shown, self._window = name, None
+        self._shown = name
         ui.timer(0.01, self._update, once=True)
 
     async def _update(self) -> None:
@@ -273,71 +270,18 @@ class LogsStage(Stage):
                 banner("warning", "Not yet complete.", problem)
 
     def _show_chart(self) -> None:
-        """Draw the columns."""
-        view = self._view
-        if view is None or self._chart is None:
+        """Draw the columns, and the intervals of this log that are kept."""
+        if self._view is None or self._chart is None:
             return
-        self._chart.clear()
-        curves = view.curves[:_MOST_CURVES]
-        if not curves:
-            return
-        name = self._run_name()
-        intervals = [i for i in self._choices.intervals if self._split == "cuts" and i.log in ("", name)]
-        options = curves_chart(
-            curves,
-            dark=self.page.dark,
-            x_name="time, s" if view.has_time else "row",
-            intervals=intervals,
-            window=self._window,
-        )
-        with_zoom(options, self.page.dark)
-        select = self._split == "cuts" and view.has_time
-        if select:
-            with_selection(options, self.page.dark)
-        with self._chart:
-            chart = ui.echart(options).classes("w-full").style(f"height: {height_of(len(curves))}px")
-            text = ", ".join(f"{c.name}: {c.note}" for c in curves)
-            chart.props(f'role=img aria-label="{html.escape(text)}"')
-            others = len(view.curves) - len(curves)
-            if others:
-                ui.label(f"and {others} more columns").classes("hf-muted")
-            if select:
-                chart.on("chart:brushEnd", self._brushed, args=["areas"])
-                ui.timer(0.4, lambda: self._arm(chart), once=True)
-            chart.on("chart:datazoom", lambda e: self._zoomed(chart, e.args), args=["start", "end", "batch"])
+        cutting, names = self._split == "cuts", ("", self._run_name())
+        intervals = [i for i in self._choices.intervals if cutting and i.log in names]
+        self._chart.draw(self._view, intervals, selectable=cutting)
 
-    @staticmethod
-    def _arm(chart: Any) -> None:
-        """Let the mouse select an interval without a button before."""
-        option = {"brushType": "lineX", "brushMode": "single"}
-        chart.run_chart_method(
-            "dispatchAction", {"type": "takeGlobalCursor", "key": "brush", "brushOption": option}
-        )
-
-    async def _zoomed(self, chart: Any, args: dict[str, Any]) -> None:
-        """Send more points of the part that is visible after a zoom."""
-        zoom = args if args.get("start") is not None else (args.get("batch") or [{}])[0]
-        if self._view is None or zoom.get("start") is None or not self._view.curves:
-            return
-        curves = self._view.curves[:_MOST_CURVES]
-        first, last = min(c.time[0] for c in curves), max(c.time[-1] for c in curves)
-        span = last - first
-        begin, end = first + zoom["start"] / 100 * span, first + zoom["end"] / 100 * span
-        margin = 0.5 * (end - begin)
-        series = [{"data": thinned(c.time, c.values, begin - margin, end + margin)} for c in curves]
-        chart.run_chart_method("setOption", {"series": series})
-        await asyncio.sleep(0)
-
-    def _brushed(self, event: events.GenericEventArguments) -> None:
-        """Take over an interval that the mouse selected."""
-        areas = event.args.get("areas") or []
-        if not areas:
-            return
-        area = areas[0]
-        span = area.get("coordRange") or (area.get("coordRanges") or [[]])[0]
-        if len(span) == 2 and self._span is not None and span[0] < span[1]:
-            for field, value in zip(self._span, span, strict=True):
-                field.set_value(round(float(value), 4))
+    def _selected(self, begin: float, end: float) -> None:
+        """Take over an interval, s, that the mouse selected."""
+        if self._span is not None:
+            for field, value in zip(self._span, (begin, end), strict=True):
+                field.set_value(round(value, 4))
             self._add_interval()
 
     def _cutting(self) -> None:
