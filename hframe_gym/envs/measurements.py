@@ -1,4 +1,4 @@
-"""Simulation of sensors for a batch of environments: delay, noise, quantization and range.
+"""Simulation of sensors for a batch of environments: noise, quantization and range; `delays` has their delay.
 
 An ideal reading is the output of a sensor in its unit, without noise and quantization, as the compiled simulation
 kernel (generated code) computes it. Readings have the kernel's SIMD layout (blocks, sensors, LANES): environment b is
@@ -7,7 +7,6 @@ lane b % LANES of block b // LANES. A measurement includes noise, quantization a
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
@@ -20,7 +19,6 @@ from ..dynamics.codegen.compiled import compiled
 from ..dynamics.codegen.lane_program import LaneProgram
 from ..dynamics.codegen.native_calls import call_at
 from ..machine import SENSOR_KINDS, Machine, Sensor, SensorKind
-from .delays import longest_delay
 from .random_numbers import normal_pair, normal_pairs
 from .sensors import sensor_range_names
 
@@ -235,65 +233,3 @@ def _ideal_and_normal(
         b = index[i]
         ideal[i] = readings[b // LANES, row, b % LANES]
         normals[i], _ = normal_pair(keys[b], elapsed[b], channel)
-
-
-class DelayLine:
-    """Keep a history of ideal readings, one entry per integration step, for sensors with a delay.
-
-    Args:
-        machine: Machine with its sensors and their delays, which are effects.
-        blocks: Number of blocks of LANES environments.
-        h: Integration step, s.
-
-    Attributes:
-        delays: Delay of each sensor, s, shape (blocks, sensors, LANES). The simulator writes them at reset.
-    """
-
-    def __init__(self, machine: Machine, blocks: int, h: float) -> None:
-        self._h = h
-        sensors = len(machine.sensors)
-        longest = longest_delay(machine, (s.channel for s in machine.sensors), "measurement_delay")
-        self._depth = math.ceil(longest / h) + 3
-        self._history = np.zeros((blocks, self._depth, sensors, LANES))
-        self.delays = np.zeros((blocks, sensors, LANES))
-
-    def fill(self, index: Index, readings: LaneReadings) -> None:
-        """Fill the histories of k environments with their present readings, as if they had always been at rest."""
-        block, lane = np.divmod(index, LANES)
-        self._history[block, :, :, lane] = readings[block, :, lane][:, None]
-
-    def record(self, readings: LaneReadings, step: int, first: int, last: int) -> None:
-        """Store the readings of blocks first to last - 1 after an integration step; overwrite the oldest stored ones.
-
-        The number of the step is counted over all episodes and is the same for all environments.
-        """
-        self._history[first:last, step % self._depth] = readings[first:last]
-
-    def read(self, step: int, first: int, last: int, out: LaneReadings) -> None:
-        """Write the readings of blocks `first` to `last` - 1, delayed from the last recorded `step`, to `out`.
-
-        The reading of a sensor with the delay T is that at the present time minus T, interpolated between the recorded
-        ones. For times before the start of the episode, it is the reading at the start.
-        """
-        _interpolate(self._history, self.delays, self._h, step, first, last, out)
-
-
-@compiled
-def _interpolate(history: Any, delays: Any, h: float, step: int, first: int, last: int, out: Any) -> None:
-    """Write readings at time step * h - delay by a parabola through the three nearest records, to out."""
-    depth = history.shape[1]
-    for block in range(first, last):
-        for j in range(out.shape[1]):
-            for lane in range(LANES):
-                back = min(delays[block, j, lane] / h, depth - 2.0)
-                if back <= 0.0:
-                    out[block, j, lane] = history[block, step % depth, j, lane]
-                    continue
-                middle = max(1, int(back + 0.5))
-                u = middle - back  # in steps, towards the present
-                newer = history[block, (step - middle + 1) % depth, j, lane]
-                here = history[block, (step - middle) % depth, j, lane]
-                older = history[block, (step - middle - 1) % depth, j, lane]
-                out[block, j, lane] = (
-                    here + 0.5 * u * (newer - older) + 0.5 * u * u * (newer - 2.0 * here + older)
-                )

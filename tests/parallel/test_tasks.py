@@ -11,6 +11,7 @@ import time
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -22,7 +23,7 @@ from hframe_gym.cli.application import CommandWithChoices
 from hframe_gym.cli.options import RayOption
 from hframe_gym.errors import InputError
 from hframe_gym.files import files_of, write_files
-from hframe_gym.parallel import local_processes, map_tasks, ray_cluster, worker
+from hframe_gym.parallel import local_processes, map_tasks, worker
 from hframe_gym.recordings import save_machine, write_recording
 from tests.identification.single_axis import AXIS, axis_recordings
 from tests.parallel.worker_tasks import draw, fail, threads_of
@@ -133,6 +134,12 @@ def test_a_missing_ray_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
         list(map_tasks(draw, [0], ray="auto"))
 
 
+@pytest.fixture
+def _idle_ray(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Replace Ray by a module that is not connected: an address is checked before anything of Ray is called."""
+    monkeypatch.setitem(sys.modules, "ray", SimpleNamespace(is_initialized=lambda: False))
+
+
 @pytest.mark.parametrize(
     ("address", "message"),
     [
@@ -141,16 +148,18 @@ def test_a_missing_ray_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
         ("127.0.0.1:99999", "--ray 127.0.0.1:99999: cannot be reached"),
     ],
 )
+@pytest.mark.usefixtures("_idle_ray")
 def test_addresses_that_cannot_be_a_cluster(address: str, message: str) -> None:
     with pytest.raises(InputError, match=message.replace(".", r"\.")):
-        ray_cluster._require_head_node(address)
+        list(map_tasks(draw, [0], ray=address))
 
 
-def test_an_address_where_nothing_listens_or_no_ray_answers() -> None:
+@pytest.mark.usefixtures("_idle_ray")
+def test_an_address_where_nothing_listens() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         free = server.getsockname()[1]
     with pytest.raises(InputError, match=f"127.0.0.1:{free}: cannot be reached"):
-        ray_cluster._require_head_node(f"127.0.0.1:{free}")
+        list(map_tasks(draw, [0], ray=f"127.0.0.1:{free}"))
 
 
 @pytest.mark.parametrize(
