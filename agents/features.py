@@ -8,37 +8,21 @@ for one or several scales: linear well below a scale, logarithmic above it. Erro
 each motor (as belt travel), now and after 10 ms at the present speeds with an unchanged goal. Every v is linear in the
 observation z, so all features are one matrix product and one logarithm: factor * sign(z M) * log(1 + |z M|).
 
-A *transfer* is a motion of given duration that brings the machine to rest at its goal with the least sum of squared
-voltages. `TransferBank` and `PlanBank` compute the first voltages of several transfers; a policy can form a weighted
-mean of them (residual_action.py).
-
 This module needs NumPy only; sb3_adapters.py evaluates the features in torch.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hframe_gym.arrays import Array
-
-from ..controllers import (
-    MotionModel,
-    OperatingPointGrid,
-    ParameterFilter,
-    ParameterRatios,
-    PreviewGains,
-    SimulatedTransfers,
-    TransferDesign,
-    scaled_machine,
-)
+from ..arrays import Array
+from ..controllers import MotionModel, OperatingPointGrid, PreviewGains, TransferDesign
 from ..controllers.planning.finite_horizon_control import VOLTAGE_CHANGE_WEIGHT
-from ..errors import InputError
 from ..machine import RADIANS, Machine, observed_coordinates, rest_positions_per_axis
+from .feedback_laws import check_transfers, state_of_observation
 
 ERROR_SCALES = (1e-1, 1e-2, 1e-3, 1e-4)  # m
 SPEED_SCALES = (0.3, 0.02)  # m/s
@@ -59,12 +43,6 @@ LARGEST_ERROR = 0.5  # m
 LARGEST_SPEED = 1.5  # m/s
 LARGEST_STRETCH = 0.01  # m
 LARGEST_INTEGRAL = 1e-4  # m s
-
-# Variants of the machine for which transfers are also designed: factors on its belt stiffness and on its masses.
-VARIANTS = ((0.7, 0.95), (0.7, 1.15), (1.3, 0.95), (1.3, 1.15))
-# For variants, only so many transfers, the shortest: the parameters matter most near the goal.
-VARIANT_TRANSFERS = 5
-LARGEST_WEIGHTED = 1.2  # Fraction of the rated voltage; limit of the voltages before their mean is formed.
 
 # Observation keys in the order in which they are concatenated; absent keys are skipped. The weights of a trained agent
 # depend on this order.
@@ -126,23 +104,13 @@ def feature_parameters(
 def _transfer_gains(model: MotionModel, period: float, transfers: Sequence[int]) -> dict[str, Any]:
     """Return the gains for the first voltages of transfers to rest, designed at the center of the workspace."""
     designed = TransferDesign(model, period)
-    _check_transfers(designed, transfers)
+    check_transfers(designed, transfers)
     by_duration = designed.first_gains(transfers, [_center(designed.grid)])[0]  # (durations, drives, 2 n)
     on_state = np.concatenate(by_duration / model.rated[:, None])
     return _as_lists(
-        observation=on_state @ _state_of_observation(model),
+        observation=on_state @ state_of_observation(model),
         desired_goal=-on_state @ model.goal_state(np.diag(model.axis_radii)).T,
     )
-
-
-def _check_transfers(designed: TransferDesign, transfers: Sequence[int]) -> None:
-    """Raise an error if a machine lacks transfers of given durations, in periods beyond the shortest."""
-    longest = designed.longest - designed.shortest
-    if not 0 <= min(transfers) <= max(transfers) <= longest:
-        name = designed.model.machine.name
-        raise InputError(
-            f"transfers are {list(transfers)}; machine {name!r} has those of 0 to {longest} periods beyond the shortest"
-        )
 
 
 def _preview_gains(model: MotionModel, period: float, preview: int) -> dict[str, Any]:
@@ -151,7 +119,7 @@ def _preview_gains(model: MotionModel, period: float, preview: int) -> dict[str,
     designed = PreviewGains(model, grid, period, preview, VOLTAGE_CHANGE_WEIGHT)
     center, rated = _center(grid), model.rated[:, None]
     return _as_lists(
-        observation=designed.state[center] / rated @ _state_of_observation(model),
+        observation=designed.state[center] / rated @ state_of_observation(model),
         preview=designed.goal[center] / rated * np.tile(model.axis_radii, preview),
         last_action=designed.last[center] / rated * model.rated,
     )
@@ -160,11 +128,6 @@ def _preview_gains(model: MotionModel, period: float, preview: int) -> dict[str,
 def _center(grid: OperatingPointGrid) -> int:
     """Return the index of the operating point at the center of the workspace."""
     return int(grid.nearest(grid.points.mean(axis=0, keepdims=True))[0])
-
-
-def _state_of_observation(model: MotionModel) -> Array:
-    """Return the matrix that converts a full-state observation to a state in belt travel, (2 n, entries)."""
-    return model.state({"observation": np.eye(2 * len(model.mass))}).T
 
 
 def _as_lists(**gains: Array) -> dict[str, Any]:
@@ -269,113 +232,3 @@ def _scaled_columns(columns: Array, scales: Sequence[float], largest: float) -> 
     """Return the columns divided by each scale, and the factors by which the value `largest` gives a feature of 1."""
     factors = [np.full(columns.shape[1], 1.0 / np.log1p(largest / scale)) for scale in scales]
     return np.hstack([columns / scale for scale in scales]), np.concatenate(factors)
-
-
-class FeedbackLaws(NamedTuple):
-    """Voltages that K feedback laws give in the present state, and the derivatives of these voltages.
-
-    Attributes:
-        volts: Voltages divided by the rated voltages, not limited, shape (batch, K, drives).
-        gains: Derivatives of `volts` with respect to the entries of the full-state observation, per m, rad, m/s or
-            rad/s, shape (batch, K, drives, entries).
-    """
-
-    volts: Array
-    gains: Array
-
-
-class TransferBank:
-    """First voltages of K minimum-energy transfers (motions to rest at the goal) of several durations and designs.
-
-    Every transfer is designed for `machine`; the first five (`VARIANT_TRANSFERS`) are also designed for each of four
-    variants with other belt stiffness and masses (`VARIANTS`). The durations of a variant count from its shortest
-    transfer and are limited to its longest one.
-
-    Args:
-        period: Control period, s.
-        transfers: Durations in control periods beyond the shortest possible transfer, ascending; 0: the shortest.
-
-    Attributes:
-        size: Number K of transfers.
-
-    Raises:
-        InputError: If the machine has no transfer of one of the durations, or they are not ascending.
-    """
-
-    def __init__(self, machine: Machine, period: float, transfers: Sequence[int]) -> None:
-        self._model = MotionModel(machine)
-        self._grid = OperatingPointGrid(machine)
-        designed = TransferDesign(self._model, period)
-        _check_transfers(designed, transfers)
-        if any(second <= first for first, second in pairwise(transfers)):
-            raise InputError(f"transfers are {list(transfers)}; list durations in ascending order, each once")
-        gains = [designed.first_gains(transfers)]
-        for stiffness, mass in VARIANTS:
-            variant = TransferDesign(MotionModel(scaled_machine(machine, stiffness, mass)), period)
-            extra_periods = np.minimum(transfers[:VARIANT_TRANSFERS], variant.longest - variant.shortest)
-            gains.append(variant.first_gains(extra_periods.tolist()))
-        self._gains = np.concatenate(gains, axis=1) / self._model.rated[:, None]  # (points, K, drives, 2 n)
-        self._of_observation = _state_of_observation(self._model)
-        self.size = self._gains.shape[1]
-
-    def laws(self, observation: NDArray[Any], goal: NDArray[Any]) -> FeedbackLaws:
-        """Compute the first voltages of each transfer from the present state, by the design nearest to the goal.
-
-        The transfers of the declared machine, in the order of the durations, precede those of each variant.
-
-        Args:
-            observation: Present full-state observations, m, rad, m/s and rad/s, shape (batch, entries).
-            goal: Tool positions of the goals, m, shape (batch, axes).
-
-        Returns:
-            K laws per observation, in units of the rated voltages.
-        """
-        travel = self._model.axis_travel(goal)
-        gains = self._gains[self._grid.nearest(travel)] @ self._of_observation
-        at_rest = self._model.observation(self._model.goal_state(travel))
-        return FeedbackLaws(np.einsum("bkij,bj->bki", gains, observation - at_rest), gains)
-
-
-class PlanBank:
-    """First voltages of K transfers, planned in every period for the machine as estimated (`SimulatedTransfers`).
-
-    Args:
-        period: Control period, s.
-        estimator: Estimator of the parameters; `laws` plans with its present estimates.
-        durations: Durations of the transfers in periods, ascending.
-
-    Attributes:
-        size: Number K of transfers.
-
-    Raises:
-        InputError: If the durations are not positive and ascending.
-    """
-
-    def __init__(
-        self, machine: Machine, period: float, estimator: ParameterFilter, durations: Sequence[int]
-    ) -> None:
-        self._model, self._estimator, self.size = MotionModel(machine), estimator, len(durations)
-        # not its machine, which has no dead time
-        self._ratios = ParameterRatios(machine, estimator.parameter_names)
-        self._transfers = SimulatedTransfers(self._model, period, durations)
-        self._of_observation = _state_of_observation(self._model)
-
-    def laws(self, observation: NDArray[Any], goal: NDArray[Any], last_action: NDArray[Any]) -> FeedbackLaws:
-        """Plan each transfer for the estimated machine, in the order of the durations.
-
-        Args:
-            observation: Present full-state observations, m, rad, m/s and rad/s, shape (batch, entries).
-            goal: Tool positions of the goals, m, shape (batch, axes).
-            last_action: Voltages of the period before, divided by the rated voltages, shape (batch, drives).
-
-        Returns:
-            K laws per observation, in units of the rated voltages.
-        """
-        rated = self._model.rated
-        planned = self._transfers.plan(
-            self._model.state({"observation": observation}),
-            self._model.axis_travel(goal),
-            self._ratios.parameters(self._estimator.estimates),
-            last_action * rated,
-        )
-        return FeedbackLaws(planned.volts / rated, planned.gains / rated[:, None] @ self._of_observation)

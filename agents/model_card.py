@@ -12,8 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hframe_gym.arrays import Array
-
+from ..arrays import Array
 from ..controllers import Controller
 from ..envs import EnvConfig
 from ..evaluation import (

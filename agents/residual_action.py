@@ -23,12 +23,11 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from hframe_gym.arrays import Actions
-
+from ..arrays import Actions
 from ..controllers import CONTROLLERS, DeadTime, EpisodeStarts, MotionModel, ParameterFilter
 from ..errors import InputError
 from ..machine import Machine, observed_coordinates
-from .features import LARGEST_WEIGHTED, FeedbackLaws, PlanBank, TransferBank
+from .feedback_laws import LARGEST_WEIGHTED, FeedbackLaws, PlanBank, TransferBank
 
 Observation = Mapping[str, NDArray[Any]]
 

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 import torch
 
-from hframe_gym.agents.features import TransferBank, feature_parameters
+from hframe_gym.agents.features import feature_parameters
+from hframe_gym.agents.feedback_laws import TransferBank
 from hframe_gym.agents.residual_action import ResidualAction
 from hframe_gym.agents.sb3_adapters import LogScaleFeatures
 from hframe_gym.envs import HFrameVectorEnv, observation_space

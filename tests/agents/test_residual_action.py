@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hframe_gym.agents.features import VARIANTS
+from hframe_gym.agents.feedback_laws import VARIANTS
 from hframe_gym.agents.residual_action import LARGEST_HELD, ActionParts, Authority, ResidualAction
 from hframe_gym.controllers import CONTROLLERS
 from hframe_gym.envs import HFrameVectorEnv, observation_space
