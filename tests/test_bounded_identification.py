@@ -95,7 +95,7 @@ def test_an_interrupted_search_writes_what_it_found(
         def __exit__(self, *error: object) -> None:
             self.inner.__exit__(None, None, None)
 
-    monkeypatch.setattr("hframe_gym.cli.recording_commands.search_progress", Interrupting)
+    monkeypatch.setattr("hframe_gym.cli.identify_commands.search_progress", Interrupting)
     code, _ = identify(limited, tmp_path)
     assert code == 130
     report = json.loads((tmp_path / "report.json").read_text())

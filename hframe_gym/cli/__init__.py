@@ -19,7 +19,14 @@ import typer
 from typer import Option
 
 from ..version import NAME_AND_VERSION
-from . import app_commands, control_commands, export_commands, machine_commands, recording_commands
+from . import (
+    app_commands,
+    control_commands,
+    export_commands,
+    identify_commands,
+    machine_commands,
+    recording_commands,
+)
 from .application import app
 from .messages import DEBUG_VARIABLE, FAULT_FOUND, describe_failure, print_warning
 from .output import closed_output_tolerated, log
@@ -29,6 +36,7 @@ __all__ = [
     "app_commands",
     "control_commands",
     "export_commands",
+    "identify_commands",
     "machine_commands",
     "main",
     "recording_commands",
