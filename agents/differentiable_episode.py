@@ -195,10 +195,7 @@ limited: Any = _Limit.apply
 
 
 def distance_cost(distance: Any) -> Any:
-    """Compute minus the reward "arrival" of distances, m: a cost from 0 at the goal towards 1, in their shape.
-
-    It is minus the reward "arrival" (`ArrivalReward`).
-    """
+    """Compute costs of distances, m, in their shape: from 0 at the goal towards 1, minus the reward `ArrivalReward`."""
     scales, weights = (torch.tensor(values, dtype=distance.dtype) for values in (SCALES, ARRIVAL_WEIGHTS))
     return (weights * distance[..., None] / (distance[..., None] + scales)).sum(-1)
 

@@ -109,7 +109,9 @@ def from_first_measurement(recording: Recording, machine: Machine) -> Recording:
 
 
 def without_unknown_voltage(recording: Recording, machine: Machine) -> Recording:
-    """Copy a recording, with NaN for the first accelerations and currents: the voltage before that row is not known.
+    """Copy a recording without what its first row measures of the voltage before it, which is not known.
+
+    These are accelerations and currents: they jump with the voltage, and their cells become NaN.
 
     Args:
         recording: Run (times, s; voltages, V; measurements in the units of the channels).

@@ -22,7 +22,7 @@ class RecursiveLeastSquares:
         self.resize(0)
 
     def resize(self, batch: int) -> None:
-        """Estimate the parameters of `batch` machines from now on; `restart` begins their episodes."""
+        """Make room for the estimates of `batch` machines; call `restart` for all of them next."""
         size = len(self._prior_covariance)
         self.estimates, self._covariance = np.zeros((batch, size)), np.zeros((batch, size, size))
 
