@@ -35,7 +35,6 @@ from .estimation.parameter_estimators import ParameterFilter, ParameterWindow
 from .estimation.state_estimator import StateEstimator
 from .model_based_controller import ModelBasedController
 from .models.input_compensation import DeadTime, InputInversion
-from .models.linear_motion import SimulatedTransfers
 from .models.motion_model import MotionModel, OperatingPointGrid
 from .observation_checks import UnitCheck
 from .output_feedback import Estimator, OutputFeedbackController
@@ -45,6 +44,7 @@ from .planning.finite_horizon_control import (
     PreviewTracker,
     TransferDesign,
 )
+from .planning.simulated_transfers import SimulatedTransfers
 from .predictive_controller import PredictiveController
 from .set_point import SetPointController
 from .textbook_pid import TextbookPID
