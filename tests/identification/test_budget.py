@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import math
 from pathlib import Path
@@ -11,7 +12,15 @@ import pytest
 
 from hframe_gym.effects import EFFECTS
 from hframe_gym.errors import InputError
-from hframe_gym.identification import Dataset, SelectionCriteria, default_free_parameters, fit, identify
+from hframe_gym.identification import (
+    Dataset,
+    SelectedEffect,
+    SelectionCriteria,
+    default_free_parameters,
+    fit,
+    identify,
+    prepare,
+)
 from hframe_gym.identification.budget import (
     COMPARISON_PART,
     DEFAULT_SECONDS,
@@ -28,6 +37,7 @@ from hframe_gym.identification.budget import (
 from hframe_gym.identification.fit.estimation import Fit
 from hframe_gym.identification.fit.plain_fit import plain_fit
 from hframe_gym.identification.search import checked_search, model_search, search_effects
+from hframe_gym.identification.search.forward_selection import EffectSearch
 from hframe_gym.identification.search.outcome import SearchOutcome
 from hframe_gym.identification.validate import evaluation, simpler_machines
 from hframe_gym.identification.validate.machine_errors import ModelEvaluation, evaluate_held_out
@@ -225,6 +235,29 @@ def test_what_there_is_no_time_to_test_is_not_named() -> None:
     assert result.effects == ()
     (entry,) = (entry for entry in result.considered if entry.effect.label == "current_limit@motor")
     assert entry.reason == "was not tested before the budget ended"
+
+
+@pytest.mark.parametrize("remaining", [True, False])
+def test_what_was_found_is_compared_with_other_effects_in_the_remaining_time(
+    monkeypatch: pytest.MonkeyPatch, remaining: bool
+) -> None:
+    """The search ends when it begins to compare them; a name without rivals would say that nothing else is possible."""
+    rival, seconds = EFFECTS["quadratic_drag"].at("x", c=4.0), [0.0]
+    ends = iter([stage_ends(AXIS).search, stage_ends(AXIS).search if remaining else 1.0])
+
+    def compared(
+        search: Any, current: Fit, selected: tuple[SelectedEffect, ...]
+    ) -> tuple[SelectedEffect, ...]:
+        seconds[0] = next(ends)
+        spend()
+        return tuple(dataclasses.replace(s, rival_effects=(rival,)) for s in selected)
+
+    monkeypatch.setattr(EffectSearch, "with_indistinguishable", compared)
+    budget = Budget(1.0, clock=lambda: seconds[0])
+    (found,) = search_effects.search_effects(
+        AXIS, prepare(limited_runs([3.0, 9.0]), AXIS), CRITERIA, lambda line: None, budget=budget
+    ).selected
+    assert found.rival_effects == ((rival,) if remaining else ())
 
 
 def budget_with_slow_fit(monkeypatch: pytest.MonkeyPatch, fit_of_search: str, ends: float) -> Budget:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
+from functools import cache
 from typing import NamedTuple
 
 from ...effects import effect_sites
@@ -25,7 +26,16 @@ from ..fit.model_error import (
 )
 from ..judge.criteria import SelectionCriteria
 from ..judge.effect import parameter_at_limit
-from ..judge.rival import RivalEvidence, chance_margin, equal_margin, is_likelier, preference, remains_rival
+from ..judge.rival import (
+    RivalEvidence,
+    TrialEvidence,
+    chance_margin,
+    equal_margin,
+    is_likelier,
+    may_be_the_cause,
+    preference,
+    remains_rival,
+)
 from ..judge.trial import gives_way
 from ..predict.prediction import SEARCH_BANDWIDTH
 from ..propose.candidates import is_required
@@ -38,8 +48,7 @@ def simplest_first(trials: list[Fit], current: Fit, criteria: SelectionCriteria)
     """Sort trial fits of different effects by preference: of equally good ones, that with fewest parameters first.
 
     Fits are as good as the best one if their cost (sum of squared residuals in units of the noise) exceeds its cost by
-    no more than a margin: 0.002 per measured value, or 3 % of the reduction from the cost of `current` to that of the
-    best fit, whichever is larger.
+    no more than 3 % of the reduction from the cost of `current` to that of the best fit.
 
     Args:
         trials: Fits with one candidate effect each.
@@ -97,26 +106,28 @@ def selected_first(best: Fit, trials: list[Fit]) -> list[Fit]:
     return [best, *(t for t in trials if t.machine.effects[-1].label != label)]
 
 
-def close_rivals(trials: list[Fit], current: Fit, criteria: SelectionCriteria) -> tuple[AppliedEffect, ...]:
-    """Return the rivals of a selected effect: effects of other trial fits that explain the data about equally well.
-
-    Their cost (sum of squared residuals in units of the noise) exceeds that of the selected effect by less than 0.002
-    per measured value, or by less than 3 % of the reduction that the selected effect brings if this is more.
+def close_rivals(
+    trials: list[Fit], current: Fit, data: Dataset, criteria: SelectionCriteria
+) -> tuple[AppliedEffect, ...]:
+    """Return the rivals of a selected effect: effects of other trial fits that may be the cause in its place.
 
     Args:
         trials: Fits with one candidate effect each; the first has the selected effect.
         current: Fit without a candidate, with the same observer bandwidth (rad/s) as the trials.
-        criteria: Decision thresholds; the values above are its defaults.
+        data: Runs that were fitted.
+        criteria: Decision thresholds of `judge.rival.may_be_the_cause`.
 
     Returns:
         Rivals with their fitted parameters, each effect once per component, in the order of the trials.
     """
     best = trials[0]
-    margin = equal_margin(current.error, best.cost, criteria)
+    selected = best.machine.effects[-1].label
+    variance = cache(lambda: long_run_variance(best, selected, data))
     close: dict[str, AppliedEffect] = {}  # an effect may have been tried from several starting values
     for trial in trials[1:]:
         effect = trial.machine.effects[-1]
-        if trial.cost - best.cost < margin and effect.label != best.machine.effects[-1].label:
+        evidence = TrialEvidence(current.error, best.error, trial.cost, variance)
+        if effect.label != selected and may_be_the_cause(evidence, criteria):
             close.setdefault(effect.label, effect)
     return tuple(close.values())
 

@@ -7,13 +7,16 @@ An effect that reduces the error may still not exist. Measured here are its gain
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import cached_property
 
-from ...machine import AppliedEffect
+import numpy as np
+
+from ...machine import AppliedEffect, Machine
 from ...preparation.dataset import Dataset
 from ..fit.estimation import Fit
 from ..fit.force_sizes import drive_force, effect_force, force_difference, residue_force
+from ..fit.missing_force import follow_runs, sensor_combinations
 from ..fit.model_error import (
     continue_fit,
     fit_with_model_error,
@@ -23,7 +26,7 @@ from ..fit.model_error import (
 )
 from ..judge import effect as judge
 from ..judge.criteria import SelectionCriteria
-from ..judge.effect import Addition, Chance, EffectEvidence, Forces
+from ..judge.effect import Addition, Chance, Disagreement, EffectEvidence, Forces
 from .effect_parameters import parameter_values
 from .effect_variables import depend_on_same_variable
 from .long_run_variance import long_run_variance
@@ -132,12 +135,36 @@ def effect_evidence(without: Fit, tested: TestedFit, effect: AppliedEffect) -> E
         additions=lambda: _additions(without, with_effect, effect, data),
         parameters=parameter_values(effect.label, with_effect),
         interpolation=(lambda: tested.interpolation_change) if data.updates > 1 else None,
+        disagreement=_disagreement_of_sensors(without, with_effect, effect, data),
     )
 
 
 def _chance(without: Fit, with_effect: Fit, effect: AppliedEffect, data: Dataset) -> Chance:
     """Return the gain of an effect and the variance that the residual has in its direction."""
     return Chance(without.cost - with_effect.cost, long_run_variance(with_effect, effect.label, data))
+
+
+def _disagreement_of_sensors(
+    without: Fit, with_effect: Fit, effect: AppliedEffect, data: Dataset
+) -> Callable[[], Disagreement] | None:
+    """Return what measures the disagreement of sensors without and with an error of one of them, if others see it."""
+    machine = with_effect.machine
+    if effect.definition.site != "sensor":
+        return None
+    combinations = sensor_combinations(machine, data)
+    if not combinations[machine.output_channels.index(effect.site)].any():
+        return None
+
+    combined = combinations.any(axis=1)
+
+    def squares(machine: Machine) -> float:
+        total = 0.0
+        for run, followed in zip(data.runs, follow_runs(machine, data), strict=True):
+            complete = np.isfinite(run.outputs[:, combined]).all(axis=1)
+            total += float(np.sum((followed.innovation[complete] @ combinations) ** 2))
+        return total
+
+    return lambda: Disagreement(squares(without.machine), squares(with_effect.machine))
 
 
 def _is_forceless(effect: AppliedEffect) -> bool:

@@ -66,6 +66,19 @@ class Addition:
 
 
 @dataclass(frozen=True)
+class Disagreement:
+    """What sensors that measure the same motions say differently: sum of squares in units of their noise.
+
+    Attributes:
+        without: Sum without an effect, dimensionless.
+        with_effect: Sum with it.
+    """
+
+    without: float
+    with_effect: float
+
+
+@dataclass(frozen=True)
 class ParameterValue:
     """A fitted parameter of an effect with the limits of its range, in the parameter's unit.
 
@@ -137,6 +150,8 @@ class EffectEvidence:
         additions: What the effect adds to each effect of another family that depends on the same variable.
         parameters: Its fitted parameters.
         interpolation: Change of the cost by another interpolation of the voltages; None if these are held.
+        disagreement: Disagreement of the sensors without and with an error of one of them; None if the effect is none
+            of a sensor, or no other sensor measures the same motions.
     """
 
     without: FitError
@@ -152,6 +167,7 @@ class EffectEvidence:
     additions: Callable[[], Iterable[Addition]]
     parameters: Sequence[ParameterValue] = ()
     interpolation: Measured | None = None
+    disagreement: Callable[[], Disagreement] | None = None
 
     @property
     def gain(self) -> float:
@@ -162,9 +178,10 @@ class EffectEvidence:
 def doubt_about_candidate(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
     """Return why an effect that the search just added may not exist; "" if nothing speaks against it.
 
-    The statistical tests (confirmation by other runs, chance, interpolation of the voltages) need a machine that nearly
-    explains the data without the effect: while other effects are missing, a fit without one run says little about the
-    machine, and what they leave is correlated in time. `doubt_beside_others` repeats them for every effect.
+    The statistical tests (confirmation by other runs, chance, disagreement of the sensors, interpolation of the
+    voltages) need a machine that nearly explains the data without the effect: while other effects are missing, a fit
+    without one run says little about the machine, and what they leave is correlated in time. `doubt_beside_others`
+    repeats them for every effect.
 
     Args:
         evidence: What the fitted runs say.
@@ -195,10 +212,25 @@ def _doubt(evidence: EffectEvidence, criteria: SelectionCriteria, *, statistical
         (statistical and unconfirmed(evidence.gain, evidence.confirmed(), criteria))
         or evidence.fault()
         or (statistical and _by_chance(evidence, criteria))
+        or (statistical and _in_the_motion(evidence))
         or (statistical and _by_interpolation(evidence, criteria))
         or _too_small(evidence, criteria)
         or _form_error(evidence, criteria)
     )
+
+
+def _in_the_motion(evidence: EffectEvidence) -> str:
+    """Return the doubt that an error of a sensor imitates one of the motion; "" if it does not.
+
+    What a model lacks moves all sensors of a motion alike. An error of one of them that imitates it reduces the errors
+    of the prediction that follows all of them, but adds itself to what they say differently.
+    """
+    if evidence.disagreement is None:
+        return ""
+    measured = evidence.disagreement()
+    if measured.with_effect <= measured.without:
+        return ""
+    return "makes the sensors of one motion disagree more: something else is in error than one of them"
 
 
 def _by_interpolation(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from .chance import LongRunVariance, chance_gain
 from .criteria import SelectionCriteria
-from .error import CLEAR, FitError
+from .error import CLEAR, FitError, nearly_explains
 
 
 def equal_margin(without: FitError, best_cost: float, criteria: SelectionCriteria) -> float:
@@ -34,6 +35,43 @@ def preference(cost: float, parameters: int, needs_part: bool, limit: float) -> 
     """
     equal = cost <= limit
     return not equal, parameters if equal else 0, needs_part if equal else False
+
+
+@dataclass(frozen=True)
+class TrialEvidence:
+    """What the trials of two effects in the same step of a search say.
+
+    Attributes:
+        without: Error without either effect.
+        selected: Error with the selected one.
+        cost: Cost with the other one, dimensionless.
+        variance: Function that returns the variance of the residual in the direction of the selected effect.
+    """
+
+    without: FitError
+    selected: FitError
+    cost: float
+    variance: Callable[[], LongRunVariance]
+
+
+def may_be_the_cause(evidence: TrialEvidence, criteria: SelectionCriteria) -> bool:
+    """Return whether another effect that was tried may be the cause in place of the selected one.
+
+    It may if it explains nearly as much. So it may if chance can cause the difference, provided that the selected
+    effect nearly explains the data (the variance is else that of missing effects) and the other one explains more than
+    half as much: what is left is correlated in time, and an effect that is not there may take up some of it.
+
+    Args:
+        evidence: Errors without and with each of the two effects.
+        criteria: Decision thresholds `rival_gain_fraction`, `explained_chi2` and `chance`.
+    """
+    best_cost = evidence.selected.cost
+    lost = evidence.cost - best_cost
+    if lost < equal_margin(evidence.without, best_cost, criteria):
+        return True
+    if not nearly_explains(evidence.selected, criteria) or CLEAR * lost >= evidence.without.cost - best_cost:
+        return False
+    return lost < chance_gain(evidence.variance(), criteria)
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ from ..judge.criteria import SelectionCriteria
 from ..judge.error import FitError
 from ..predict.free_parameters import FreeParameter, default_free_parameters, values_at
 from ..predict.prediction import POLISH_STEP, SEARCH_BANDWIDTH, SIMULATION
-from .candidates import SearchState, candidates, effect_parameters, is_required
+from .candidates import Candidate, SearchState, candidates, effect_parameters, is_required
 from .screening import ScoredCandidate, resemblances, screen, screen_structures
 
 # Effects that are fitted in place of a selected one because these runs may not distinguish them.
@@ -184,9 +184,12 @@ def indistinguishable(
     kept = [f.name in machine.parameters for f in current.free]
     free, theta = tuple(itertools.compress(current.free, kept)), current.theta[kept]
     without = dataclasses.replace(current, machine=machine, free=free, theta=theta)
-    others = [c for c in candidates(SearchState.of(without, data)) if c.label != effect.label]
+    state = SearchState.of(without, data)
+    others = [c for c in candidates(state) if c.label != effect.label]
     spend(f"comparing {effect.label} with {len({c.label for c in others})} other effects")
-    found = resemblances(without, effect, others, data)
+    sizes = state.sizes(effect.definition, effect.site)
+    own = Candidate(effect.definition, effect.site, (dict(effect.parameters),), sizes)
+    found = resemblances(without, own, others, data)
     return [each.effect for each in found if each.loss <= largest_loss][:_RESEMBLING]
 
 

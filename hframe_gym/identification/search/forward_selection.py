@@ -204,7 +204,8 @@ class EffectSearch:
 
     def _extended(self, selected: tuple[SelectedEffect, ...], without: Fit, trials: list[Fit]) -> Selection:
         """Return the first trial fit, and the selected effects with its effect and the rivals among the others."""
-        gain, rivals = without.cost - trials[0].cost, close_rivals(trials, without, self._criteria)
+        gain = without.cost - trials[0].cost
+        rivals = close_rivals(trials, without, self.data, self._criteria)
         new = SelectedEffect(trials[0].machine.effects[-1], gain / self.data.count, without.machine, rivals)
         return trials[0], (*selected, new)
 

@@ -77,7 +77,7 @@ def with_input_timing(
     effect = best.machine.effects[-1]
     extended = polish(continue_fit(best, data, after.bandwidth), data)
     gain = (after.cost - extended.cost) / data.count
-    rivals = close_rivals([best, *trials[1:]], current, criteria)
+    rivals = close_rivals([best, *trials[1:]], current, data, criteria)
     added = SelectedEffect(extended.machine.effects[-1], gain, after.machine, rivals)
     evidence = TimingEvidence(
         search=(after.cost, extended.cost),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from contextlib import suppress
 from functools import cache, cached_property
 from typing import NamedTuple
 
@@ -166,13 +167,22 @@ class ModelSearch:
         None is kept if the time for the tests ends before them.
 
         Args:
-            tests: Part of the budget for these tests, with fits in simulation of effects that leave an error.
+            tests: Part of the budget for these tests, with fits in simulation of effects that leave an error. What is
+                left of it at the end is spent on comparing the effects with all others.
             last_fit: Part for the last fits of what passes. If it ends, the best parameters so far are delivered.
         """
         found, decision = self._tested_early(tests)
         with last_fit.limiting(delivers=True):
             decision = decision or self._verdict(found)
-            return self._decide(decision, found)._replace(contradiction=self.suspect)
+            outcome = self._decide(decision, found)._replace(contradiction=self.suspect)
+        # A name is no better for what the search did not reach: other effects may move the machine alike.
+        if outcome.selected:
+            search = self._searches[-1]
+            with suppress(BudgetEndedError), tests.limiting():
+                return outcome._replace(
+                    selected=search.with_indistinguishable(found.fitted, outcome.selected)
+                )
+        return outcome
 
     def _tested_early(self, tests: Budget) -> tuple[Found, Decision | None]:
         """Return the effects that pass the tests, and the decision about them; none where the tests do not end."""

@@ -8,19 +8,24 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
-from hframe_gym.identification import Fit
+from hframe_gym.identification import Fit, prepare
 from hframe_gym.identification.evidence import significance
 from hframe_gym.identification.evidence.significance import (
     TestedFit,
     doubt_about_candidate,
     doubt_beside_others,
 )
+from hframe_gym.machine import AppliedEffect
+from hframe_gym.recordings import Recording
 from tests.identification.scripted_fits import (
     CLOCK,
     COUNT,
     CRITERIA,
     DATA,
+    HFRAME,
+    PUSH,
     Scripted,
     fit_with,
 )
@@ -69,3 +74,22 @@ def test_the_tests_of_all_effects_of_a_machine_share_its_fits(monkeypatch: pytes
     tested = TestedFit(fit_with(chi2=100.0 / COUNT), data)
     assert [tested.interpolation_change, tested.interpolation_change] == pytest.approx([10.0, 10.0])
     assert refits == [3, "straight", "spline"]
+
+
+SKEW = EFFECTS["sensor_skew"].at("x_m", a=2e-3)
+
+
+@pytest.mark.parametrize(("hidden", "agree"), [(SKEW, True), (PUSH, False)])
+def test_an_error_of_a_laser_explains_what_encoders_say_otherwise(hidden: AppliedEffect, agree: bool) -> None:
+    """A force moves the pulleys as well; a skew in its place makes laser and encoders disagree."""
+    time_s = np.arange(1500) * 1e-3
+    waves = np.sin(2 * np.pi * np.outer(time_s - 0.1, [1.3, 1.7]))
+    inputs = np.where(time_s[:, None] > 0.1, 5.0 * waves, 0.0)
+    motion = simulate(HFRAME.with_effects(hidden), time_s, inputs).outputs
+    noise = np.random.default_rng(0).normal(0.0, 1.0, motion.shape) * [1e-3, 1e-3, 1e-5, 1e-5]
+    data = prepare([Recording("run", time_s, inputs, motion + noise)], HFRAME)
+    without, with_skew = (SimpleNamespace(machine=m) for m in (HFRAME, HFRAME.with_effects(SKEW)))
+    measured = significance._disagreement_of_sensors(without, with_skew, SKEW, data)
+    assert measured is not None
+    assert (measured().with_effect < measured().without) == agree
+    assert significance._disagreement_of_sensors(without, with_skew, PUSH, data) is None

@@ -14,6 +14,7 @@ from hframe_gym.identification.judge.chance import LongRunVariance
 from hframe_gym.identification.judge.effect import (
     Addition,
     Chance,
+    Disagreement,
     EffectEvidence,
     Forces,
     MachineBehavior,
@@ -63,6 +64,7 @@ BETWEEN_ROWS = (
     "reduces the error little more than another interpolation of the voltages between the rows, "
     "which are not known, does"
 )
+MOTION = "makes the sensors of one motion disagree more: something else is in error than one of them"
 FORM = "adds 19 % to the force of drag@x, which depends on the same variable: the form of that effect may be in error"
 
 
@@ -90,6 +92,9 @@ FORM = "adds 19 % to the force of drag@x, which depends on the same variable: th
             "",
         ),  # in doubt, the slow error
         ({"chance": by_chance(2000.0, 85.0), "chance_narrower": by_chance(2000.0, 85.0)}, CHANCE),
+        # An error of a laser beside a force, and an eccentric encoder beside an eccentric pulley (random rigs).
+        ({"disagreement": Disagreement(29_180.0, 29_704.0)}, MOTION),
+        ({"disagreement": Disagreement(22_362.0, 21_912.0)}, ""),
         ({"interpolation": 990.0}, ""),
         ({"interpolation": 1010.0}, BETWEEN_ROWS),
         ({"forces": Forces(0.202, 0.2)}, ""),
@@ -126,6 +131,7 @@ def test_doubts_where_the_data_are_nearly_explained(known: dict[str, Any], reaso
     [
         ({"confirmed": 0.0}, "", "not confirmed"),
         ({"chance": by_chance(4000.0, 1e6)}, "", "chance"),
+        ({"disagreement": Disagreement(1.0, 2.0)}, "", "disagree"),
         ({"fault": "diverges"}, "diverges", "diverges"),
         ({"forces": Forces(0.01, 1.0)}, "remain unexplained", "remain unexplained"),
     ],

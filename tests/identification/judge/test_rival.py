@@ -8,7 +8,7 @@ from hframe_gym.identification import SelectionCriteria
 from hframe_gym.identification.judge import rival as judge
 from hframe_gym.identification.judge.chance import LongRunVariance, chance_gain
 from hframe_gym.identification.judge.error import FitError
-from hframe_gym.identification.judge.rival import RivalEvidence
+from hframe_gym.identification.judge.rival import RivalEvidence, TrialEvidence
 
 CRITERIA = SelectionCriteria()
 
@@ -25,6 +25,40 @@ def test_of_equally_good_trials_the_simplest_comes_first() -> None:
         (1.0, 5, False),
         (1.031, 1, False),
     ]
+
+
+@pytest.mark.parametrize(
+    ("chi2", "selected", "other", "ratio", "possible"),
+    [
+        (1.212, 1.167, 1.168, 1.0, True),  # within 3 % of the gain, 0.00135
+        (1.212, 1.167, 1.174, 1.0, False),  # more than chance causes in white noise, 24 / 36000
+        (
+            1.212,
+            1.167,
+            1.174,
+            40.0,
+            True,
+        ),  # the eccentric pulley beside an eccentric encoder: chance causes 0.027
+        (1.212, 1.167, 1.19, 40.0, False),  # within chance, but it explains less than half as much
+        (3.0, 1.6, 1.65, 1e4, False),  # what is left may be that of missing effects
+        (3.0, 1.4, 1.45, 1e4, True),
+    ],
+)
+def test_an_effect_that_was_tried_may_be_the_cause(
+    chi2: float, selected: float, other: float, ratio: float, possible: bool
+) -> None:
+    without, with_effect = (FitError(each * 36_000, 36_000) for each in (chi2, selected))
+    evidence = TrialEvidence(without, with_effect, other * 36_000, lambda: LongRunVariance(ratio))
+    assert judge.may_be_the_cause(evidence, CRITERIA) == possible
+
+
+def test_the_variance_is_not_computed_where_it_does_not_matter() -> None:
+    def variance() -> LongRunVariance:
+        raise AssertionError
+
+    error = FitError(2e4, 1e4), FitError(1e4, 1e4)
+    assert judge.may_be_the_cause(TrialEvidence(*error, 1.01e4, variance), CRITERIA)
+    assert not judge.may_be_the_cause(TrialEvidence(*error, 1.6e4, variance), CRITERIA)
 
 
 @pytest.mark.parametrize(

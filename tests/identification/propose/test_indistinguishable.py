@@ -15,11 +15,13 @@ from hframe_gym.identification.judge.effect import parameter_at_limit
 from hframe_gym.identification.judge.rival import largest_resembling_loss
 from hframe_gym.identification.predict.free_parameters import default_free_parameters
 from hframe_gym.identification.propose.candidates import (
+    Candidate,
     SearchState,
     candidates,
     coverage,
     effect_parameters,
 )
+from hframe_gym.identification.propose.screening import resemblances
 from hframe_gym.identification.propose.trial_fits import indistinguishable
 from hframe_gym.machine import Machine
 from hframe_gym.recordings import Recording
@@ -54,6 +56,18 @@ def test_one_sine_cannot_tell_friction_over_speed_from_other_friction() -> None:
     single, several = rivals(sines([[1.0]] * 2)), rivals(sines([[1.0], [0.4, 2.3], [0.7, 5.0], [0.3]]))
     assert "tustin_friction" in single
     assert several == []
+
+
+@pytest.mark.parametrize("part", [1.0, 1e-9])
+def test_a_small_effect_is_compared_as_accurately_as_one_of_typical_size(part: float) -> None:
+    """Derivatives change the motion by a part of the typical size; that of a tiny effect would be rounding errors."""
+    data = sines([[1.0]])
+    fitted = fit(AXIS, default_free_parameters(AXIS), data, 60.0)
+    typical = SearchState.of(fitted, data).candidate(EFFECTS["sensor_delay"], "x_m", {})
+    delay = typical.columns[0]["d"]
+    own = Candidate(typical.effect, "x_m", ({"d": part * delay},), typical.scales)
+    (same,) = resemblances(fitted, own, [typical], data)
+    assert same.effect.parameters["d"] == pytest.approx(part * delay, rel=1e-6)
 
 
 @pytest.mark.parametrize(
