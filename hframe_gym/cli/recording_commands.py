@@ -93,8 +93,8 @@ def import_logs(
 
     Logs may have any separator, decimal mark and encoding, other names and units, and several sampling rates. A column
     is assigned by --map, or if it alone has the name of a channel, with any unit ("X (mm)" for x_m). Nothing else is
-    guessed, and a column of another physical quantity is refused. A table shows what each column was taken for.
-    docs/import.md lists what is handled.
+    guessed, and a column of another physical quantity is refused. "A + B" adds columns, "A - B" subtracts them. A
+    table shows what each column was taken for. docs/import.md lists what is handled.
 
     Example:  hframe import log.txt --map v1_V=U1 --map v2_V=U2 --unit phi1_rad=deg --out runs --split-at-rests
     """

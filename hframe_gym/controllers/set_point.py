@@ -108,10 +108,8 @@ class SetPointController(Controller):
 
     def _largest_speed(self, drive: Drive) -> float:
         """Return the largest speed of a drive's coordinate, m/s or rad/s, by set points that are held over a period."""
-        if drive.command == "speed":
-            return drive.rated_voltage
         jump = DRIVE_KINDS.get(drive.kind).largest_jump(drive.gear_ratio, drive.law_parameters)
-        return min(drive.law_parameters.get("speed_limit", np.inf), jump / self.period)
+        return min(drive.largest_speed, jump / self.period)
 
     def _correction_rate(self) -> float:
         """Return the speed that corrects an error of the position, 1/s, below the bandwidth of the slowest drive."""

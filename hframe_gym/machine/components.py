@@ -7,6 +7,7 @@ of machine.json and the parameters of the machine follow (`declaration`).
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar
@@ -254,6 +255,13 @@ class Drive(Component):
         if self.law_parameters:
             return DRIVE_KINDS.get(self.kind).damping(self.gear_ratio, self.law_parameters)  # type: ignore[no-any-return]
         return self.back_emf
+
+    @property
+    def largest_speed(self) -> float:
+        """Largest speed of the coordinate that its set points permit, m/s or rad/s; infinite without such a limit."""
+        if self.law_parameters and self.command == "speed":
+            return self.rated_voltage
+        return self.law_parameters.get("speed_limit", math.inf)
 
     @property
     @override

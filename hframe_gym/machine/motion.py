@@ -228,7 +228,8 @@ class MotionLimits:
     Attributes:
         inertia: Inertia that moves, referred to the leading coordinate, kg or kg m^2.
         force: Force of all drives at standstill, minus Coulomb friction, N or Nm.
-        speed: Steady speed at rated voltage, m/s or rad/s; infinite without friction and back-EMF.
+        speed: Steady speed at rated voltage, m/s or rad/s, at most that which drives with set points permit; infinite
+            without friction, back-EMF and such a limit.
     """
 
     inertia: float
@@ -252,5 +253,7 @@ def motion_limits(machine: Machine) -> dict[str, MotionLimits]:
         damping += sum(d.back_emf * rates[d.coordinate] ** 2 for d in machine.drives)
         inertia = sum(c.mass * rates[c.name] ** 2 for c in machine.coordinates)
         force = max(force, 0.0)
-        limits[name] = MotionLimits(inertia, force, force / damping if damping else float("inf"))
+        speeds = [d.largest_speed / rates[d.coordinate] for d in machine.drives if rates[d.coordinate]]
+        steady = force / damping if damping else float("inf")
+        limits[name] = MotionLimits(inertia, force, min([steady, *speeds]))
     return limits

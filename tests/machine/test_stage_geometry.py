@@ -83,6 +83,16 @@ def test_motion_limits_of_a_single_axis() -> None:
     assert limit.speed == pytest.approx(29.0 / 11.25)
 
 
+def test_motion_limits_of_a_servo_are_those_of_its_set_points() -> None:
+    """Its friction alone, 1 mNms, would permit 190 rad/s."""
+    servo = BUILTIN_MACHINES["servo"]()
+    assert motion_limits(servo)["horn"].speed == 10.0
+    (drive,) = servo.drives
+    gains = {name: drive.law_parameters[name] for name in ("speed_gain", "torque_limit")}
+    of_speed = dataclasses.replace(drive, kind="speed", rated_voltage=6.0, law_parameters=gains)
+    assert motion_limits(servo.replace(drives=(of_speed,)))["horn"].speed == 6.0
+
+
 @pytest.mark.parametrize(
     ("machine", "kind"),
     [

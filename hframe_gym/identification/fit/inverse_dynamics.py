@@ -7,6 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 from scipy import ndimage, signal
+from scipy.interpolate import CubicSpline
 
 from ...arrays import Array
 from ...dynamics import Equations, net_forces
@@ -30,7 +31,8 @@ def force_error(machine: Machine, data: Dataset) -> float | None:
     """Return the relative error of the drives' force: rms(F_drive - F_model) / rms(F_drive).
 
     F_drive follows from the voltages. F_model is the force that the machine needs for the motion that the least noisy
-    sensor of each coordinate measured (inverse dynamics). Positions are low-pass filtered at 100 Hz without phase lag
+    sensor of each coordinate measured (inverse dynamics). Positions are interpolated at regular times by cubic splines,
+    since a filter of irregular rows bends the motion, low-pass filtered at 100 Hz without phase lag
     and differentiated centrally; forces are decimated by ten. If the noise of the sensors would cause an inertial force
     of more than half of that of the drives, positions and forces are filtered at the highest frequency at which it
     does not: what a coarse sensor does not resolve says nothing about the machine. Where the motion is too slow for the
@@ -97,22 +99,27 @@ def _compared_forces(
     # a run that began in motion lacks the measurements before its rest
     rows = slice(complete[0], complete[-1] + 1)
     run = dataclasses.replace(run, time_s=run.time_s[rows], inputs=run.inputs[rows])
-    period = float(np.median(np.diff(run.time_s)))
+    usual = float(np.median(np.diff(run.time_s)))
+    duration = run.time_s[-1] - run.time_s[0]
+    time_s = np.linspace(run.time_s[0], run.time_s[-1], 1 + round(duration / usual))
+    period = duration / (len(time_s) - 1)
     cutoff = min(0.45 / period, _FORCE_CUTOFF, resolved)  # Hz
     # s; 1 % more than 5 ms, because times are rounded
     longest_gap = max(0.505 / cutoff, GAP_PERIODS * period)
     measured = bridge_blanks(measured[rows], run.time_s, longest_gap)
-    known = np.asarray(np.isfinite(measured).all(axis=1))
-    measured = bridge_blanks(measured, run.time_s, np.inf)
+    nearest = np.searchsorted(0.5 * (run.time_s[1:] + run.time_s[:-1]), time_s)
+    known = np.isfinite(measured[nearest]).all(axis=1)
+    known &= np.abs(run.time_s[nearest] - time_s) <= 0.5 * longest_gap
+    measured = CubicSpline(run.time_s, bridge_blanks(measured, run.time_s, np.inf))(time_s)
     low_pass = signal.butter(4, 2 * cutoff * period, output="sos")
     position = signal.sosfiltfilt(low_pass, measured, axis=0)
-    velocity = np.gradient(position, run.time_s, axis=0)
+    velocity = np.gradient(position, period, axis=0)
     # Standard deviation of a derivative of white noise below the cut-off frequency, m/s or rad/s.
     velocity_noise = 2 * np.pi * np.sqrt(2.0 / 3.0 * period * cutoff**3) * noise
     velocity = np.where(np.abs(velocity) < _RESOLVED_SPEED * velocity_noise, 0.0, velocity)
     trim = int(_FILTER_TRANSIENT_S / period)
     known = ndimage.minimum_filter1d(known, 2 * trim + 1)[trim : len(known) - trim : _FORCE_DECIMATION]
-    forces = _inverse_dynamics(machine, run, position, velocity, sensor_delays)
+    forces = _inverse_dynamics(machine, run, time_s, position, velocity, sensor_delays)
     if resolved < _FORCE_CUTOFF:  # the forces of the drives have frequencies that the positions now lack
         forces = tuple(signal.sosfiltfilt(low_pass, force, axis=0) for force in forces)
     drive, model = (
@@ -159,43 +166,45 @@ def _least_noisy_sensors(machine: Machine, data: Dataset) -> list[int]:
 def _inverse_dynamics(
     machine: Machine,
     run: PreparedRecording,
+    time_s: Array,
     position: Array,
     velocity: Array,
     sensor_delays: Mapping[str, float],
 ) -> tuple[Array, Array]:
     """Return the forces of the drives and of the model along a measured motion, N or Nm, (n, coordinates) each.
 
-    The voltages are delayed as much as each coordinate's sensor, s. All effects, even those on a drive, belong to the
-    force of the model. At zero velocity, dry friction has the value within its limits that makes the error smallest.
+    The motion is given at n regular times, the voltages in the rows of the run. They are delayed as much as each
+    coordinate's sensor, s. All effects, even those on a drive, belong to the force of the model. At zero velocity, dry
+    friction has the value within its limits that makes the error smallest.
     """
     drives = zip(Equations(machine).voltage_delays(), machine.drives, strict=True)
     delays = [delay + sensor_delays[drive.coordinate] for delay, drive in drives]
-    mean_voltages = [_centered_mean(run.time_s, run.inputs[:, j], delay) for j, delay in enumerate(delays)]
+    mean_voltages = [_centered_mean(run, j, time_s - delay) for j, delay in enumerate(delays)]
     voltages = np.column_stack(mean_voltages)
     # The voltages are delayed already.
     prompt = dataclasses.replace(machine, effects=tuple(e for e in machine.effects if not e.definition.delay))
     coordinates = tuple(dataclasses.replace(c, viscous=0.0, coulomb=0.0) for c in machine.coordinates)
     frictionless = dataclasses.replace(machine, coordinates=coordinates, effects=(), ties={})
-    drive = net_forces(frictionless, run.time_s, position, velocity, voltages)
+    drive = net_forces(frictionless, time_s, position, velocity, voltages)
     mass = np.array([c.mass for c in machine.coordinates])
-    inertial = mass * np.gradient(np.gradient(position, run.time_s, axis=0), run.time_s, axis=0)
+    inertial = mass * np.gradient(np.gradient(position, time_s, axis=0), time_s, axis=0)
     # Excess force with dry friction at its lower and at its upper limit; both are equal where the machine moves.
     lower, upper = (
-        net_forces(prompt, run.time_s, position, np.where(velocity == 0.0, direction, velocity), voltages)
+        net_forces(prompt, time_s, position, np.where(velocity == 0.0, direction, velocity), voltages)
         - inertial
         for direction in (_CREEP, -_CREEP)
     )
     return drive, drive - np.maximum(lower, 0.0) - np.minimum(upper, 0.0)
 
 
-def _centered_mean(time_s: Array, values: Array, delay: float) -> Array:
-    """Return the mean of a delayed, held input over one period around each sample, shape (n,).
+def _centered_mean(run: PreparedRecording, j: int, time_s: Array) -> Array:
+    """Return the mean of a held input over one period around each of n regular times, shape (n,).
 
     A central difference of the measured motion shows the force around its sample, half of which the previous input
     still determines.
     """
     period = float(np.median(np.diff(time_s)))
-    integral = np.concatenate([[0.0], np.cumsum(values[:-1] * np.diff(time_s))])
-    edges = np.concatenate([time_s - delay - period / 2, time_s - delay + period / 2])
-    before, after = np.interp(edges, time_s, integral).reshape(2, -1)
+    integral = np.concatenate([[0.0], np.cumsum(run.inputs[:-1, j] * np.diff(run.time_s))])
+    edges = np.concatenate([time_s - period / 2, time_s + period / 2])
+    before, after = np.interp(edges, run.time_s, integral).reshape(2, -1)
     return (after - before) / period

@@ -166,9 +166,10 @@ def _fitted(machine: Machine, data: Dataset, equal: Dataset) -> PlainFit | None:
                 best.machine.with_effects(effect), (*wide_parameters(best.machine), *terms), equal, SIMULATION
             )
         ]
-        if not effect.definition.delay and best.machine.effects == start.effects:
+        if not effect.definition.delay:
             # Without the term, friction took its place, so that the way back from the best fit may be barred.
-            trials += _output_error_fits(start.with_effects(effect), (*free, *terms), equal)
+            again = start.with_effects(*(e for e in best.machine.effects if e not in start.effects))
+            trials += _output_error_fits(again.with_effects(effect), (*wide_parameters(again), *terms), equal)
         trial = min(trials, key=_finite_cost)
         if trial.cost < (1.0 - _LEAST_GAIN) * best.cost:
             best = trial

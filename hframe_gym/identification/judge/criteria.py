@@ -111,8 +111,8 @@ class SelectionCriteria(SearchEffort):
         max_noise_ratio_explained: Largest simulation error on the held-out runs, in multiples of the sensors' noise at
             rest, that noise explains: the verdict "no_effect" is not given above it. A correct machine reaches 1; its
             uncertain initial states and a clock that jitters by some microseconds leave up to 2.
-        max_motion_error: Largest simulation error on the held-out runs, relative to the motion, for the verdict
-            "no_effect". If the noise is larger, the recordings cannot show whether an effect is missing.
+        max_motion_error: Largest simulation error beyond the noise on the held-out runs, relative to the motion, for
+            the verdict "no_effect". If the noise may hide more, the recordings cannot show what is missing.
         max_remaining: Largest fraction of the squared prediction error beyond the noise, on the held-out runs and with
             an observer of 15 rad/s, that effects may leave to be named if they do not explain the fitted runs. Three
             wrong names for a torque constant that falls with the current left 0.10, two for friction that rises with

@@ -90,6 +90,21 @@ def remaining(after: float, before: float, floor: float) -> float:
     return 0.0 if left == 0.0 else left / total if total > 0.0 else math.inf
 
 
+def error_beyond_noise(motion: float, left: float) -> float:
+    """Return the largest error of a machine that the noise may hide, relative to the motion.
+
+    It is the part of the squared error beyond the noise, but at least the part within which two errors are as good as
+    each other, because the noise is not known better. The many samples of an accelerometer show an error far below the
+    noise of each of them.
+
+    Args:
+        motion: Error relative to the motion, noise included.
+        left: The same error in multiples of the noise.
+    """
+    part = max(1.0 - 1.0 / left**2, 1.0 - 1.0 / AS_GOOD) if left > 0.0 else 1.0
+    return motion * math.sqrt(part)
+
+
 def contradiction_of_no_effect(evidence: VerdictEvidence, criteria: SelectionCriteria) -> str:
     """Return why the held-out runs contradict that no effect is missing, or "" if they do not.
 
@@ -105,9 +120,10 @@ def contradiction_of_no_effect(evidence: VerdictEvidence, criteria: SelectionCri
             f"{evidence.in_words}, and an error is only explained by noise up to "
             f"{criteria.max_noise_ratio_explained:g} times its size"
         )
-    if not evidence.motion <= criteria.max_motion_error:
+    beyond = error_beyond_noise(evidence.motion, evidence.left)
+    if not beyond <= criteria.max_motion_error:
         return (
-            f"the error is at the noise of the sensors, but that is {100 * evidence.motion:.2g} % of the motion: too "
+            f"the error is at the noise of the sensors, but that may hide {100 * beyond:.2g} % of the motion: too "
             "much to tell whether an effect is missing"
         )
     return ""

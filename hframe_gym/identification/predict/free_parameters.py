@@ -283,16 +283,16 @@ def default_free_parameters(machine: Machine, *, effects: bool = True) -> tuple[
     - Mass, viscous friction and dry friction of every coordinate.
     - The stiffness EA of every belt section. For a section whose length changes with the position of the machine, also
       its constant part `rest_length`, the length at position 0.
-    - The torque constant Kt of every drive but the first (of all if a sensor measures forces), and nonzero back-EMF
-      constants Ke.
+    - The torque constant Kt of every drive that sets no unit of force, and nonzero back-EMF constants Ke.
     - The gains and limits of every drive that follows a set point, without those at their defaults.
     - The resistance of every drive whose current is measured, which separates its electrical from its mechanical side.
     - The parameters of declared effects.
 
-    Left out are parameters that the machine ties to others, and the torque constant of the first drive (the
-    `unit_of_force` of a drive with a law, unless its torque or current is measured). If all torque constants, masses,
-    friction forces and stiffnesses are multiplied by the same factor, the same voltages cause the same motion.
-    Recordings without a sensor of forces therefore do not determine this factor; the first torque constant sets it.
+    Left out are parameters that the machine ties to others, and the torque constant of one drive (the `unit_of_force`
+    of a drive with a law, unless its torque or current is measured) in each group of coordinates between which forces
+    act. If all torque constants, masses, friction forces and stiffnesses of a group are multiplied by the same factor,
+    the same voltages cause the same motion. Recordings without a sensor of forces in the group therefore do not
+    determine this factor; the torque constant of its first drive sets it. The axes of a table are two groups.
 
     Friction that is declared as zero may become positive. Back-EMF acts like viscous friction, so the data determine
     only their sum. Both are free, because this sum may be smaller than the declared back-EMF alone.
@@ -311,14 +311,12 @@ def default_free_parameters(machine: Machine, *, effects: bool = True) -> tuple[
         if belt.length:
             free.append(FreeParameter(f"{belt.name}.rest_length", belt.rest_length, prior=_LENGTH_PRIOR))
     sensed = {name for sensor in machine.sensors if sensor.quantity == "current" for name in sensor.row}
-    force_is_measured = any(sensor.sensed.is_force for sensor in machine.sensors)
+    setting_units = _drives_that_set_units(machine)
     for drive in machine.drives:
-        sets_unit = drive is machine.drives[0] and not force_is_measured
-        if not drive.law and not sets_unit:
+        if not drive.law and drive.name not in setting_units:
             free.append(FreeParameter(f"{drive.name}.Kt", drive.Kt, prior=_MOTOR_PRIOR))
     for drive in machine.drives:
-        sets_unit = drive is machine.drives[0] and not force_is_measured
-        free += _law_parameters(drive, anchored=sets_unit and drive.name not in sensed)
+        free += _law_parameters(drive, anchored=drive.name in setting_units and drive.name not in sensed)
     resistances = [drive for drive in machine.drives if drive.name in sensed and not drive.law]
     free += [
         FreeParameter(f"{drive.name}.resistance", drive.resistance, prior=_MOTOR_PRIOR)
@@ -330,8 +328,29 @@ def default_free_parameters(machine: Machine, *, effects: bool = True) -> tuple[
     return tuple(parameter for parameter in free if parameter.name not in machine.ties)
 
 
+def _drives_that_set_units(machine: Machine) -> set[str]:
+    """Return the first drives of groups of coordinates between which forces act, without a sensor of forces."""
+    links = [set(belt.extension) for belt in machine.belts]
+    links += [
+        {e.coordinate, machine.coordinate_of_site(e.site, e.definition.site) or e.coordinate}
+        for e in machine.effects
+        if e.coordinate
+    ]
+    group = {name: {name} for name in machine.coordinate_names}
+    for link in links:
+        joined = set().union(*(group[name] for name in link if name in group))
+        group |= dict.fromkeys(joined, joined)
+    scaled = {machine.coordinate_of_sensor(s) for s in machine.sensors if s.sensed.is_force}
+    first = set()
+    for drive in machine.drives:
+        if not scaled & group[drive.coordinate]:
+            first.add(drive.name)
+            scaled.add(drive.coordinate)
+    return first
+
+
 def _law_parameters(drive: Drive, *, anchored: bool) -> list[FreeParameter]:
-    """Return the free parameters of a drive's law; `anchored`: the drive sets the unit of force of the machine."""
+    """Return the free parameters of a drive's law; `anchored`: the drive sets a unit of force."""
     kind = DRIVE_KINDS.get(drive.kind)
     free = []
     for p in kind.law.parameters if kind.law else ():

@@ -14,6 +14,7 @@ from ...web_page import number
 from ..fit.parameter_diagnostics import parameter_doubts
 from ..judge.criteria import SelectionCriteria
 from ..judge.table import is_better_than_table
+from ..judge.verdict import error_beyond_noise
 from .curves import run_ratio
 from .document import STAGES, Evaluation, Report
 from .result_curves import RunCurves
@@ -235,16 +236,17 @@ def tone_of_remainder(report: Report) -> Literal["good", "neutral", "warning"]:
         report: Content of report.json.
 
     Returns:
-        "good" if the error is at most `max_noise_ratio_explained` times the noise and at most `max_motion_error` of the
-        motion of every channel, and the verdict is not "unexplained"; otherwise "neutral" if it is at most 1 % of the
-        motion of every channel; "warning" if it is larger, or the simulation diverges.
+        "good" if the error is at most `max_noise_ratio_explained` times the noise, and beyond it at most
+        `max_motion_error` of the motion of every channel, and the verdict is not "unexplained"; otherwise "neutral" if
+        it is at most 1 % of the motion of every channel; "warning" if it is larger, or the simulation diverges.
     """
     criteria, left = SelectionCriteria(), report.left
     percents = report.after.percents_of_motion
     largest = max(percents, default=0.0)
     if left is None:
         return "warning"
-    at_noise = left <= criteria.max_noise_ratio_explained and largest <= 100.0 * criteria.max_motion_error
+    beyond = error_beyond_noise(largest / 100.0, left)
+    at_noise = left <= criteria.max_noise_ratio_explained and beyond <= criteria.max_motion_error
     if at_noise and report.verdict != "unexplained":
         return "good"
     return "neutral" if percents and largest <= _SMALL_PERCENT_OF_MOTION else "warning"

@@ -30,6 +30,7 @@ class LogColumn:
         kind: "number", "stamp" (dates or times of day), "text", or "row number" (not in the file).
         rows: Number of rows; None if all columns of the file have the same number, or if `time` is known.
         time: Column of the sample times, if the format says which; it is one of the log's `times`.
+        terms: Sign and column of each term, if this is no column of the file, but a sum of such columns.
     """
 
     header: str
@@ -38,10 +39,18 @@ class LogColumn:
     kind: str
     rows: int | None = None
     time: LogColumn | None = None
+    terms: tuple[tuple[float, LogColumn], ...] = ()
+
+    @property
+    def in_file(self) -> tuple[LogColumn, ...]:
+        """The columns of the file that this one needs: itself, or the terms of a sum."""
+        return tuple(column for _, column in self.terms) or (self,)
 
     @property
     def meaning(self) -> Meaning:
-        """Physical quantity of the column by its name and unit."""
+        """Physical quantity of the column by its name and unit; that of the first term of a sum."""
+        if self.terms:
+            return self.in_file[0].meaning
         if self.kind == "stamp":
             return Meaning("time", "", "unit", "")
         return meaning_of(self.name, self.unit)
@@ -83,7 +92,7 @@ class Log:
         """Read the values of some columns of the log.
 
         Args:
-            columns: Columns of this log, from its attributes `columns` and `times`.
+            columns: Columns of this log, from its attributes `columns` and `times`, or sums of them.
             progress: Called with the number of bytes read since the last call.
 
         Returns:
@@ -95,7 +104,12 @@ class Log:
             InputError: If a cell is not a number or the file cannot be read. The message names file, row and column.
         """
         known = (*self.columns, *self.times)
-        return self.reader([known.index(column) for column in columns], progress)
+        needed = list(dict.fromkeys(part for column in columns for part in column.in_file))
+        arrays, remarks = self.reader([known.index(column) for column in needed], progress)
+        values = dict(zip(needed, arrays, strict=True))
+        for column in (column for column in columns if column.terms):
+            values[column] = np.sum([sign * values[term] for sign, term in column.terms], axis=0)
+        return [values[column] for column in columns], remarks
 
     def columns_called(self, reference: str) -> list[LogColumn]:
         """Find the columns that a user may mean by a reference, none if no column fits.
@@ -112,6 +126,24 @@ class Log:
         same_header = [column for column in self.columns if column.header.lower() == reference.lower()]
         same_name = [column for column in self.columns if column.name.lower() == reference.lower()]
         return exact or same_header or same_name
+
+    def terms_called(self, reference: str) -> tuple[tuple[float, LogColumn], ...]:
+        """Find the columns that a user means by a sum such as "x + y" or "-#2 - #3", with their signs.
+
+        Names may contain the signs themselves: the longest name that a column has counts.
+
+        Returns:
+            Sign and column of each term; nothing if the reference is no sum of columns that `columns_called` finds.
+        """
+        text = reference.strip()
+        sign, text = (-1.0, text[1:].strip()) if text.startswith("-") else (1.0, text)
+        ends = [len(text), *(match.start() for match in reversed(list(re.finditer("[+-]", text))))]
+        for end in ends:
+            named, rest = self.columns_called(text[:end].strip()), text[end:]
+            others = self.terms_called(rest.removeprefix("+")) if rest else ()
+            if len(named) == 1 and (others or not rest):
+                return ((sign, named[0]), *others)
+        return ()
 
     def columns_named_like(self, channel: str) -> list[LogColumn]:
         """Find the column whose header is a channel, such as "x_m"; else all with its name without unit."""

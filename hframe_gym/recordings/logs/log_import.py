@@ -308,7 +308,7 @@ def _column_table(log: Log, sources: Sequence[ChannelSource], machine: Machine) 
         rows.append(
             (source.column.header, f"{quantity}{role}", source.column.unit, f"{source.channel}{remark}")
         )
-    used = [source.column for source in sources]
+    used = [column for source in sources if source.column for column in source.column.in_file]
     unused = [column for column in log.columns if column not in used]
     for column in unused[:_UNUSED_ROWS]:
         role = f", {column.meaning.role}" * bool(column.meaning.role)

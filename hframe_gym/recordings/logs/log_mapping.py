@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from ...errors import InputError, suggestion
-from ...machine import DRIVE_KINDS, Machine
+from ...machine import DRIVE_KINDS, Machine, rest_positions_per_axis
 from ...operating_system import quoted
 from ..quantities import QUANTITIES, TIME_HEADERS, normalize_unit
 from .log import ROW_NUMBER, Log, LogColumn, headers_text, plain_name
@@ -57,9 +58,10 @@ class MappingOptions:
     Unassigned channels are matched by the names and units in the log.
 
     Attributes:
-        columns: Column by channel: its name with or without its unit, "#3" for the third column, or "none" for an
-            output that was not measured. For "time_s", also several columns separated by commas, or a rate such as
-            "200Hz" if the log has no time column and its rows are equally spaced.
+        columns: Column by channel: its name with or without its unit, "#3" for the third column, a sum or difference of
+            columns such as "x + y", or "none" for an output that was not measured. For "time_s", also several columns
+            separated by commas, or a rate such as "200Hz" if the log has no time column and its rows are equally
+            spaced.
         units: Unit of the column by channel, for example {"phi1_rad": "deg", "v1_V": "%"}. It replaces the unit in the
             header.
         scales: Factor by channel. With `units`, values are first converted from that unit, then multiplied. Without
@@ -236,7 +238,7 @@ class _LogMapping:
                 columns[channel] = named[0]
             else:
                 missing.append(channel)
-        used = [*times, *columns.values()]
+        used = [*times, *(part for column in columns.values() if column for part in column.in_file)]
         unused = [column for column in self.log.columns if column not in used and column.kind != "text"]
         if missing and (unused or not set(missing) <= set(self.machine.output_channels)):
             raise InputError(self._missing_text(missing, unused))
@@ -282,16 +284,41 @@ class _LogMapping:
                 raise InputError(f"{self.log.path}: {options}: {problem}{self._if_not_measured(channel)}")
 
     def _column_of_reference(self, channel: str, reference: str) -> LogColumn:
-        """Return the only column that a reference of the user names."""
+        """Return the only column that a reference of the user names, or the sum of the columns that it names."""
         columns = self.log.columns_called(reference)
         if len(columns) == 1:
             return columns[0]
+        if not columns and (terms := self.log.terms_called(reference)):
+            return self._sum(channel, reference, terms)
         problem = "several columns have this name" if columns else "there is no such column"
         problem += f"; the columns are {headers_text(self.log.columns)}{self._if_not_measured(channel)}"
         raise InputError(f"{self.log.path}: {_map_option(channel, reference)}: {problem}")
 
+    def _sum(self, channel: str, reference: str, terms: tuple[tuple[float, LogColumn], ...]) -> LogColumn:
+        """Return the sum of columns, which must have one unit and one time."""
+        first = terms[0][1]
+        for _, other in terms:
+            differences = {
+                f"{other.header} contains no numbers": other.kind != "number",
+                f"{first.header} is in {first.unit or 'no unit'} and {other.header} in {other.unit or 'no unit'}": (
+                    other.unit != first.unit
+                ),
+                f"{first.header} and {other.header} have different times": (
+                    (other.rows, other.time) != (first.rows, first.time)
+                ),
+            }
+            for problem in (text for text, found in differences.items() if found):
+                raise InputError(
+                    f"{self.log.path}: {_map_option(channel, reference)}: {problem}; only numbers of one unit that "
+                    "were logged together can be added"
+                )
+        header = "".join(f" {'-' if sign < 0.0 else '+'} {column.header}" for sign, column in terms)
+        header = header.removeprefix(" + ").strip()
+        return LogColumn(header, header, first.unit, "number", first.rows, first.time, terms)
+
     def _time_of(self, column: LogColumn, times: Sequence[LogColumn]) -> LogColumn:
         """Return the time of a column: the stated one, that of equal length, or in a table the nearest to its left."""
+        column = column.in_file[0]
         if column.time is not None:
             same = [time for time in times if time.time == column.time]  # another time that the user named
             return same[0] if same else column.time
@@ -434,7 +461,25 @@ class _LogMapping:
         elif TIME in missing:
             advice += f"; if the log has no time column, state the rate, e.g. {TIME}={_EXAMPLE_RATE}"
         without = [channel for channel in missing if channel != TIME and proposals[channel] == _NO_PROPOSAL]
-        return advice + self._explained_obstacle(without, unused)
+        return advice + self._explained_obstacle(without, unused) + self._advice_about_tool(missing)
+
+    def _advice_about_tool(self, channels: Sequence[str]) -> str:
+        """Say how the command of the first of some motors follows from set points of a tool that they move together."""
+        machine = self.machine
+        of_coordinate = {machine.input_channels[k]: c for c, k in machine.position_commands.items()}
+        for channel in (channel for channel in channels if channel in of_coordinate):
+            rates = rest_positions_per_axis(machine)[
+                machine.coordinate_names.index(of_coordinate[channel])
+            ].tolist()
+            factor = rates[0]
+            if len(rates) != 2 or factor == 0.0 or not math.isclose(abs(rates[1]), abs(factor)):
+                continue
+            sign = "+" if rates[1] * factor > 0.0 else "-"
+            return (
+                f". If the log has set points of the tool, in m, they are added: {_map_option(channel, f'X {sign} Y')} "
+                f"--scale {channel}={factor:.6g} (with the names of their columns; {factor / 1e3:.6g} for mm)"
+            )
+        return ""
 
     def _explained_obstacle(self, channels: Sequence[str], unused: Sequence[LogColumn]) -> str:
         """Explain for the first channel without a proposal why the first column of a known quantity cannot be it."""

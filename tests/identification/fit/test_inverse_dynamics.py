@@ -40,6 +40,18 @@ def test_force_error_of_a_known_motion() -> None:
     assert wrong == pytest.approx(np.linalg.norm(missing_force) / np.linalg.norm(force), rel=0.02)
 
 
+def test_rows_at_irregular_times_do_not_make_a_right_machine_wrong() -> None:
+    """Rows that are written as values arrive: filtered as if they were regular, they missed 3.5 times the force."""
+    steps = np.random.default_rng(0).uniform(2e-3, 12e-3, 2000)
+    time, mass, viscous, rate = np.cumsum(steps), 3.0, 5.0, 2.0
+    middle = time + 0.5 * np.append(steps[1:], 0.0)
+    force = -mass * rate**2 * np.sin(rate * middle) + viscous * rate * np.cos(rate * middle)
+    run = Recording("r", time, force[:, None] / 2.0, np.sin(rate * time)[:, None])
+    error = force_error(axis(mass, viscous), prepare([run], axis(mass, viscous)))
+    assert error is not None
+    assert error < 0.01
+
+
 @pytest.mark.parametrize(("step", "largest"), [(1e-6, 0.01), (2e-3, 0.5), (2e-2, 0.5)])
 def test_a_coarse_sensor_does_not_make_a_right_machine_wrong(step: float, largest: float) -> None:
     """Differentiated twice up to 100 Hz, the rounding of an encoder was many times the force of the drives."""

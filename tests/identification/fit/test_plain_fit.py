@@ -191,6 +191,33 @@ def test_the_declared_machine_is_delivered_where_the_fitted_runs_mislead() -> No
     assert result.after.held_out.noise_ratio == pytest.approx(result.declared.held_out.noise_ratio)
 
 
+def test_a_weight_is_found_although_a_constant_force_has_taken_a_part_of_it() -> None:
+    """An arm is held at 46 degrees: its weight is a constant force there, from which the fit does not find back."""
+    motor = BUILTIN_MACHINES["motor"]()
+    drive = dataclasses.replace(
+        motor.drives[0], kind="torque", Kt=1.0, Ke=0.0, resistance=1.0, rated_voltage=1.0
+    )
+    arm = motor.replace(drives=(drive,)).replace(
+        {"shaft.mass": 0.02, "shaft.viscous": 0.05, "shaft.coulomb": 0.1}
+    )
+    weight = EFFECTS["unbalance"].at("shaft", A=1.0, p=0.8)
+    time_s, recordings = np.arange(0.0, 4.0, 4e-3), []
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        torque = np.repeat(rng.uniform(-0.5, 0.5, len(time_s) // 50), 50)[:, None]
+        torque[:50] = 0.0
+        torque += np.sin(0.8)
+        outputs = arm.with_effects(weight).simulate(time_s, torque).outputs
+        outputs = outputs + 1e-4 * rng.normal(size=outputs.shape)
+        recordings.append(Recording(f"run_{seed}", time_s, torque, outputs))
+    declared = arm.replace({"shaft.mass": 2e-3, "shaft.coulomb": 3e-3, "shaft.viscous": 1e-5})
+    plain = plain_fit(declared, prepare(recordings, declared))
+    assert plain is not None
+    assert plain.terms == ("constant_force@shaft", "unbalance@shaft")
+    assert plain.machine.parameters["shaft.mass"] == pytest.approx(0.02, rel=0.05)
+    assert plain.simulated.chi2 < 1.5
+
+
 def test_what_is_left_is_described_in_simulation_without_naming_a_cause() -> None:
     """A force over speed that the machine lacks: the description removes most of the error of complete runs."""
     true = axis(TRUE).with_effects(EFFECTS["quadratic_drag"].at("x", c=40.0))

@@ -1,0 +1,31 @@
+"""Which parameters are free: one torque constant of each group of coordinates sets the unit of force."""
+
+import pytest
+
+from hframe_gym.effects import EFFECTS
+from hframe_gym.identification.predict.free_parameters import default_free_parameters
+from hframe_gym.machine import BUILTIN_MACHINES, Machine, Sensor
+
+TENSION = Sensor("left_N", {"left": 1.0}, 0.1, 0.0, "belt-force")
+
+
+def built_in(name: str, *sensors: Sensor) -> Machine:
+    machine = BUILTIN_MACHINES[name]()
+    return machine.replace(sensors=(*machine.sensors, *sensors))
+
+
+@pytest.mark.parametrize(
+    ("machine", "free"),
+    [
+        (built_in("hframe"), ["motor2.Kt"]),
+        (built_in("hframe", TENSION), ["motor1.Kt", "motor2.Kt"]),
+        (built_in("xy-table"), []),  # nothing connects its axes
+        (built_in("xy-table").with_effects(EFFECTS["payload_swing"].at("y", f0=2.0, zeta=0.01, r=0.2)), []),
+        (built_in("printer"), ["motor2.speed_gain"]),
+    ],
+)
+def test_one_drive_of_each_group_of_coordinates_sets_the_unit_of_force(
+    machine: Machine, free: list[str]
+) -> None:
+    names = [p.name for p in default_free_parameters(machine)]
+    assert [name for name in names if name.endswith((".Kt", ".speed_gain"))] == free
