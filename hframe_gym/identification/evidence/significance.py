@@ -26,11 +26,19 @@ from ..fit.model_error import (
 )
 from ..judge import effect as judge
 from ..judge.criteria import SelectionCriteria
-from ..judge.effect import Addition, Chance, Disagreement, EffectEvidence, Forces
+from ..judge.effect import (
+    Addition,
+    Chance,
+    Disagreement,
+    EffectEvidence,
+    Forces,
+    UnknownVoltages,
+)
 from .effect_parameters import parameter_values
 from .effect_variables import depend_on_same_variable
 from .long_run_variance import long_run_variance
 from .plausibility import plausibility_fault
+from .unknown_voltages import cost_beside_voltages
 
 
 class TestedFit:
@@ -57,6 +65,11 @@ class TestedFit:
     def likeliest(self) -> Fit:
         """Fit with the most likely observer."""
         return fit_with_model_error(self.fitted, self.data)
+
+    @cached_property
+    def cost_beside_voltages(self) -> float:
+        """Cost, dimensionless, that is left beside what unknown voltages between the rows may explain."""
+        return cost_beside_voltages(self.fitted, self.data)
 
     @cached_property
     def interpolation_change(self) -> float:
@@ -134,8 +147,16 @@ def effect_evidence(without: Fit, tested: TestedFit, effect: AppliedEffect) -> E
         drives=lambda: drive_force(with_effect.machine, data),
         additions=lambda: _additions(without, with_effect, effect, data),
         parameters=parameter_values(effect.label, with_effect),
-        interpolation=(lambda: tested.interpolation_change) if data.updates > 1 else None,
         disagreement=_disagreement_of_sensors(without, with_effect, effect, data),
+        voltages=_unknown_voltages(without, tested) if data.updates > 1 else None,
+    )
+
+
+def _unknown_voltages(without: Fit, tested: TestedFit) -> UnknownVoltages:
+    """Return what unknown voltages between the rows may do to the error, without and with an effect."""
+    return UnknownVoltages(
+        gain_beside=lambda: cost_beside_voltages(without, tested.data) - tested.cost_beside_voltages,
+        interpolation=lambda: tested.interpolation_change,
     )
 
 

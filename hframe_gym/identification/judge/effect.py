@@ -11,9 +11,9 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
-from .chance import LongRunVariance, chance_deviations, exceeds_chance
+from .chance import LongRunVariance, chance_deviations, chance_gain, exceeds_chance
 from .criteria import SelectionCriteria
-from .error import FAR, FitError, Measured, is_enough, nearly_explains, required_gain
+from .error import CLEAR, FAR, FitError, Measured, is_enough, nearly_explains, required_gain
 
 # Relative distance from the limit of a parameter's range within which a value is at the limit; fits end there within
 # rounding errors, or within the tolerance of a logarithmic parameter.
@@ -133,6 +133,19 @@ class MachineBehavior:
 
 
 @dataclass(frozen=True)
+class UnknownVoltages:
+    """What voltages between the rows of a log, which it does not contain, may do to the error.
+
+    Attributes:
+        gain_beside: Reduction of the cost by the effect beside what these voltages explain with and without it.
+        interpolation: Change of the cost by another interpolation of them.
+    """
+
+    gain_beside: Measured
+    interpolation: Measured
+
+
+@dataclass(frozen=True)
 class EffectEvidence:
     """What the fitted runs say about one effect.
 
@@ -149,7 +162,7 @@ class EffectEvidence:
         drives: Force of the drives, N.
         additions: What the effect adds to each effect of another family that depends on the same variable.
         parameters: Its fitted parameters.
-        interpolation: Change of the cost by another interpolation of the voltages; None if these are held.
+        voltages: What unknown voltages between the rows may do; None if the voltages are held.
         disagreement: Disagreement of the sensors without and with an error of one of them; None if the effect is none
             of a sensor, or no other sensor measures the same motions.
     """
@@ -166,7 +179,7 @@ class EffectEvidence:
     drives: Measured
     additions: Callable[[], Iterable[Addition]]
     parameters: Sequence[ParameterValue] = ()
-    interpolation: Measured | None = None
+    voltages: UnknownVoltages | None = None
     disagreement: Callable[[], Disagreement] | None = None
 
     @property
@@ -213,7 +226,7 @@ def _doubt(evidence: EffectEvidence, criteria: SelectionCriteria, *, statistical
         or evidence.fault()
         or (statistical and _by_chance(evidence, criteria))
         or (statistical and _in_the_motion(evidence))
-        or (statistical and _by_interpolation(evidence, criteria))
+        or (statistical and _by_voltages(evidence, criteria))
         or _too_small(evidence, criteria)
         or _form_error(evidence, criteria)
     )
@@ -233,11 +246,17 @@ def _in_the_motion(evidence: EffectEvidence) -> str:
     return "makes the sensors of one motion disagree more: something else is in error than one of them"
 
 
-def _by_interpolation(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
-    """Return the doubt that other voltages between the rows reduce the error nearly as much; "" if they do not."""
-    if evidence.interpolation is None:
+def _by_voltages(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
+    """Return the doubt that other voltages between the rows reduce the error nearly as much; "" if they do not.
+
+    They do not if the effect reduces it beside all that they may explain by clearly more than chance, or if no other
+    interpolation does half as much.
+    """
+    if evidence.voltages is None:
         return ""
-    if evidence.gain > criteria.min_gain_over_interpolation * evidence.interpolation():
+    if evidence.voltages.gain_beside() >= CLEAR * chance_gain(evidence.chance().variance, criteria):
+        return ""
+    if evidence.gain > criteria.min_gain_over_interpolation * evidence.voltages.interpolation():
         return ""
     return (
         "reduces the error little more than another interpolation of the voltages between the rows, which are not "
@@ -293,6 +312,14 @@ def _by_chance(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
 
 def _too_small(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
     """Return the doubt about an effect smaller than what stays unexplained or negligible beside the drives, else ""."""
+    # Without a force of its own, an effect is compared with all that the observer corrects. In a slow log, unknown
+    # voltages cause that, also in the true machine, as far as noise and they explain the data.
+    if (
+        evidence.forceless
+        and evidence.voltages is not None
+        and nearly_explains(evidence.with_effect, criteria)
+    ):
+        return ""
     forces, drives = evidence.forces(), evidence.drives()
     if forces.effect < criteria.min_drive_force_ratio * drives and not evidence.forceless:
         return f"has a force of {forces.effect:.2g} N, {forces.effect / drives:.1g} of that of the drives"

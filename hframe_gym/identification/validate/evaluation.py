@@ -239,7 +239,10 @@ def _contradiction(evaluated: Evaluated, differing: Sequence[str]) -> str:
     evidence = _evidence(evaluated, differing)
     if outcome.selected:
         reason = contradiction_of_names(evidence, outcome.explained, criteria)
-        if reason and not outcome.explained:  # ranking the causes takes seconds
+        if reason and outcome.explained and not evidence.voltages_known:
+            evidence = dataclasses.replace(evidence, reduction=_reduction(evaluated, differing))
+            reason = contradiction_of_names(evidence, outcome.explained, criteria)
+        elif reason and not outcome.explained:  # ranking the causes takes seconds
             part = representative_part(outcome.data, outcome.before.machine)
             causes = rank_dependences(outcome.before.machine, part)
             named = agree_with_causes([s.effect for s in outcome.selected], causes, outcome.before.machine)
@@ -340,6 +343,17 @@ def _with_fast_error(
 ) -> VerdictEvidence:
     """Return the evidence with what effects leave of fast errors, and whether they remove what they should."""
     validation = _quiet(evaluated, _agreeing(evaluated, differing))
+    floor = innovation_variance(evaluated.after.machine, validation, SEARCH_BANDWIDTH)[0]
+    return dataclasses.replace(
+        evidence,
+        remaining_fast=_remaining_prediction(evaluated, validation, SEARCH_BANDWIDTH, floor),
+        reduction=_reduction(evaluated, differing),
+    )
+
+
+def _reduction(evaluated: Evaluated, differing: Sequence[str]) -> float:
+    """Return by how much effects reduce the squared error of predictions / by how much they do if they are right."""
+    validation = _quiet(evaluated, _agreeing(evaluated, differing))
     removed = right = 0.0
     for run in validation.runs:
         before, after = (
@@ -348,12 +362,7 @@ def _with_fast_error(
         )
         removed += float(np.sum(before**2) - np.sum(after**2))
         right += float(np.sum((before - after) ** 2))
-    floor = innovation_variance(evaluated.after.machine, validation, SEARCH_BANDWIDTH)[0]
-    return dataclasses.replace(
-        evidence,
-        remaining_fast=_remaining_prediction(evaluated, validation, SEARCH_BANDWIDTH, floor),
-        reduction=removed / right if right > 0.0 else 0.0,
-    )
+    return removed / right if right > 0.0 else 0.0
 
 
 def _corrected(

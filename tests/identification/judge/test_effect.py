@@ -21,6 +21,7 @@ from hframe_gym.identification.judge.effect import (
     ParameterValue,
     Size,
     TimingEvidence,
+    UnknownVoltages,
 )
 from hframe_gym.identification.judge.error import FitError
 
@@ -49,7 +50,7 @@ def evidence(without: float = 1.4, with_effect: float = 1.2, **known: Any) -> Ef
         drives=lambda: 10.0,
         additions=lambda: (),
     )
-    eager = ("forceless", "parameters")
+    eager = ("forceless", "parameters", "voltages")
     lazy = {n: v if n in eager or callable(v) else (lambda known=v: known) for n, v in known.items()}
     return dataclasses.replace(found, **lazy)
 
@@ -57,6 +58,11 @@ def evidence(without: float = 1.4, with_effect: float = 1.2, **known: Any) -> Ef
 def by_chance(gain: float, ratio: float) -> Chance:
     """Return a reduction of the cost by an effect with one parameter; ratio of long-run variance to white noise."""
     return Chance(gain, LongRunVariance(ratio))
+
+
+def voltages(beside: float, interpolation: float) -> UnknownVoltages:
+    """Return the gain beside unknown voltages, and the change of the cost by another interpolation."""
+    return UnknownVoltages(lambda: beside, lambda: interpolation)
 
 
 CHANCE = "reduces the error by no more than chance may, since the remaining error is correlated in time"
@@ -95,8 +101,9 @@ FORM = "adds 19 % to the force of drag@x, which depends on the same variable: th
         # An error of a laser beside a force, and an eccentric encoder beside an eccentric pulley (random rigs).
         ({"disagreement": Disagreement(29_180.0, 29_704.0)}, MOTION),
         ({"disagreement": Disagreement(22_362.0, 21_912.0)}, ""),
-        ({"interpolation": 990.0}, ""),
-        ({"interpolation": 1010.0}, BETWEEN_ROWS),
+        ({"voltages": voltages(49.0, 1e9)}, ""),  # twice what chance reaches
+        ({"voltages": voltages(47.0, 1010.0)}, BETWEEN_ROWS),
+        ({"voltages": voltages(47.0, 990.0)}, ""),
         ({"forces": Forces(0.202, 0.2)}, ""),
         (
             {"forces": Forces(0.198, 0.2), "forces_accurate": Forces(0.198, 0.1)},
@@ -116,6 +123,14 @@ FORM = "adds 19 % to the force of drag@x, which depends on the same variable: th
         (
             {"forces": Forces(0.1, 0.3), "forceless": True},
             "explains a force of 0.1 N, where 0.3 N remain unexplained",
+        ),
+        (
+            {"forces": Forces(0.1, 0.3), "forceless": True, "voltages": voltages(2000.0, 0.0)},
+            "",
+        ),  # unknown voltages cause the rest
+        (
+            {"forces": Forces(0.1, 0.3), "voltages": voltages(2000.0, 0.0)},
+            "has a force of 0.1 N, where 0.3 N remain unexplained",
         ),
         ({"additions": [Addition("drag@x", 0.21)]}, ""),
         ({"additions": [Addition("spring@x", 0.5), Addition("drag@x", 0.19)]}, FORM),

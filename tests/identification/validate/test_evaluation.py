@@ -123,6 +123,21 @@ def test_fast_effects_are_named_beside_a_slow_force(
     assert (contradiction_of_names(evidence, False, CRITERIA) == "") == named
 
 
+@pytest.mark.parametrize(
+    ("known", "reduction", "named"),
+    [
+        (False, 1.05, True),  # play of belts and friction by load; the true machine leaves as much
+        (False, 0.8, False),  # it removes less than it should: it imitates something
+        (True, 1.05, False),  # more than noise has another cause
+    ],
+)
+def test_effects_are_named_beside_what_unknown_voltages_leave(
+    known: bool, reduction: float, named: bool
+) -> None:
+    evidence = VerdictEvidence(2.33, 2.53, 0.007, 2e-3, 0.505, voltages_known=known, reduction=reduction)
+    assert (contradiction_of_names(evidence, True, CRITERIA) == "") == named
+
+
 @pytest.mark.parametrize(("size", "reduction", "fast"), [(0.3, 1.0, 0.0), (0.6, 0.0, 1.0)])
 def test_right_effects_remove_the_square_of_what_they_change(
     size: float, reduction: float, fast: float
