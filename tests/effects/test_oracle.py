@@ -16,8 +16,9 @@ pytestmark = pytest.mark.oracle
 
 STEP = 0.125e-3  # s
 TOLERANCE = 1.5e-6  # m of travel
-# m; these switch a force within a step
+# m; these switch a force within a step, or change the damping, which is integrated with that of Ohm's law
 SWITCHING_TOLERANCE = {
+    "coasting_bridge": 3e-6,
     "input_delay": 8e-6,
     "current_limit": 3e-6,
     "gear_backlash": 3e-6,
@@ -63,6 +64,7 @@ SHARED_BY_BOTH_DRIVES = {
     "electrical_lag": ({"tau": 1.5e-3}, {"electrical_lag_s": (1.5e-3, 1.5e-3)}),
     "dead_band": ({"Vd": 0.4, "drop": 1.0}, {"dead_band_V": (0.4, 0.4)}),
     "voltage_limit": ({"U": 4.0}, {"voltage_limit_V": (4.0, 4.0)}),
+    "coasting_bridge": ({"U": 12.0}, {"coasting_V": (12.0, 12.0)}),
     "current_limit": ({"I": 4.5}, {"current_limit_A": (4.5, 4.5)}),
 }
 

@@ -163,7 +163,9 @@ def _add_drives(
         duty = voltage / stage.supply_V
         lag, heat = 2 * n + j, 4 * n + 2 + j
         ohm = d.ohm * (1.0 + d.heating_ohm * z[heat])
-        voltage = voltage * (1.0 - z[sag]) + d.voltage_offset_V - d.emf * z[n + d.coordinate]
+        voltage = voltage * (1.0 - z[sag]) + d.voltage_offset_V
+        closed = min(abs(voltage) / d.coasting_V, 1.0) if d.coasting_V > 0.0 else 1.0
+        voltage -= closed * d.emf * z[n + d.coordinate]
         if d.dead_time_V != 0.0:
             # as long as the current is that small
             lost = voltage / (1.0 + ohm * d.dead_time_A / d.dead_time_V)

@@ -25,6 +25,7 @@ _OF_DRIVE += [
     "load_friction",
     "heating_ohm",
     "torque_saturation_A",
+    "coasting_V",
     "dead_time_V",
     "dead_time_A",
     "belt_creep",

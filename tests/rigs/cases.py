@@ -130,6 +130,7 @@ SITES: dict[str, tuple[str, ...]] = {
     "frame_resonance": ("x",),
     "lugre": ("x",),
     "voltage_limit": ("motor1",),
+    "coasting_bridge": ("motor2",),
     "gear_backlash": ("motor1",),
 }
 PAIRS = (

@@ -260,6 +260,9 @@ def effect(name: str, site: str, size: float) -> HiddenEffect:
         case "voltage_limit":
             volts = (1.0 - 0.6 * size) * MAX_VOLTAGE_V
             return _hidden(name, site, partial(motor, voltage_limit_V=volts), {"U": volts})
+        case "coasting_bridge":
+            volts = MAX_VOLTAGE_V / size
+            return _hidden(name, site, partial(motor, coasting_V=volts), {"U": volts})
         case "commutation_ripple":
             ripple, order = 0.15 * size, 4 * 5.9
             build = partial(motor, current_ripple=ripple, current_ripple_order=order)
