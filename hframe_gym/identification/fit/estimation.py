@@ -189,9 +189,8 @@ def _descend(
         steps = np.array([bounded_step(free, theta, hessian + d * scaling, gradient) for d in _DAMPINGS])
         costs = _costs(expansion, precision, theta + steps)
         theta, cost = _best_trial(theta + steps, costs, theta, cost)
-        undamped = steps[0]
-        promised = -float(2.0 * gradient @ undamped + undamped @ hessian @ undamped)
-        next_decrease = _next_decrease(promised, initial_cost - float(costs[0]))
+        promised = -(2.0 * steps @ gradient + np.einsum("bi,ij,bj->b", steps, hessian, steps))
+        next_decrease = _next_decrease(promised, initial_cost - costs)
         for j in (j for j, parameter in enumerate(free) if parameter.switch):
             trials = with_changed_switch(free[j], j, theta, SWITCH_CHANGES)
             theta, cost = _best_trial(trials, _costs(expansion, precision, trials), theta, cost)
@@ -210,15 +209,17 @@ def _descend(
     return theta, cost, information
 
 
-def _next_decrease(promised: float, found: float) -> float:
-    """Return about how much a further step would decrease the cost, by how well the last one kept its promise.
+def _next_decrease(promised: Array, found: Array) -> float:
+    """Return about how much a further step would decrease the cost, by how well the trials of the last kept promises.
 
-    A step of a model that is exact leads to the minimum.
+    Both are decreases of the cost, shape (trials,), those of the undamped step first, which leads to the minimum if the
+    linear model is exact. The worst of all trials counts: the errors of a long step may cancel each other by chance.
     """
-    if not promised > 0.0:
+    most = float(promised[0])
+    if not most > 0.0:
         return 0.0
-    error = 1.0 - found / promised
-    return _NEXT_STEP * error * error * promised if math.isfinite(error) else math.inf
+    error = float(np.max(np.abs(found - promised))) / most
+    return _NEXT_STEP * error * error * most if math.isfinite(error) else math.inf
 
 
 def _costs(expansion: Linearization, precision: Array, trials: Array) -> Array:

@@ -15,6 +15,7 @@ from hframe_gym.arrays import Array
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset, default_free_parameters, fit, prepare
+from hframe_gym.identification.fit import estimation
 from hframe_gym.identification.fit.estimation import Fit, prediction_cost
 from hframe_gym.identification.fit.model_error import polish
 from hframe_gym.identification.predict import free_parameters
@@ -83,6 +84,22 @@ def test_a_step_that_keeps_its_promise_is_the_last_one(
     again, steps = _counted(monkeypatch, fit, hframe, free, run, SEARCH_BANDWIDTH, theta=near)
     assert steps == 1
     assert again.cost == pytest.approx(fitted.cost, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("found", "next_decrease"),
+    [
+        ([10.0, 8.0], 0.0),
+        ([9.0, 8.0], 0.225),  # (1 - 9 / 10)^2 of 10, times 9/4
+        ([10.0, 7.0], 0.225),  # the first one by chance
+        ([-math.inf, 8.0], math.inf),
+    ],
+)
+def test_the_worst_trial_tells_what_a_further_step_would_add(
+    found: list[float], next_decrease: float
+) -> None:
+    promised = np.array([10.0, 8.0])
+    assert estimation._next_decrease(promised, np.array(found)) == pytest.approx(next_decrease)
 
 
 def _counted(
