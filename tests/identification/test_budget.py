@@ -8,6 +8,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from hframe_gym.effects import EFFECTS
@@ -328,12 +329,14 @@ def test_the_search_for_a_delay_of_the_drives_ends_with_the_budget(
 def test_each_iteration_of_a_fit_asks_the_budget() -> None:
     """A fit that needs several iterations ends within a budget of one look at the clock."""
     data = axis_runs(AXIS, rows=500, volts=3.0)
+    free = default_free_parameters(AXIS)
+    far = np.ones(len(free))  # each parameter is off by the standard deviation of its prior
     steps: list[str] = []
     with Budget(clock=Clock(), progress=lambda doing, *time: steps.append(doing)).limiting():
-        fit(AXIS, default_free_parameters(AXIS), data, 60.0)
+        fit(AXIS, free, data, 60.0, theta=far)
     assert len(steps) > 1
     with Budget(1.0, clock=Clock()).limiting(), pytest.raises(BudgetEndedError):
-        fit(AXIS, default_free_parameters(AXIS), data, 60.0)
+        fit(AXIS, free, data, 60.0, theta=far)
 
 
 def test_a_stage_that_must_deliver_ends_its_fits_instead_of_unwinding() -> None:
