@@ -331,6 +331,24 @@ def test_numbers_below_a_plot_do_not_touch_each_other(tmp_path: Path) -> None:
     assert min(after.x0 - before.x1 for before, after in itertools.pairwise(boxes)) > 5.0  # pixels
 
 
+def test_a_long_label_of_the_vertical_axis_is_not_cut_off(tmp_path: Path) -> None:
+    import matplotlib
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    drawn: list[Any] = []
+
+    def draw(axes: Any) -> None:
+        axes.set(ylabel="change of the command of left_motor, V")
+        drawn.append(axes)
+
+    save_panels([Panel("dead band", "", draw)], tmp_path / "plot.svg")
+    with matplotlib.rc_context(plot_style()):
+        FigureCanvasAgg(drawn[0].figure).draw()
+    box = drawn[0].yaxis.label.get_window_extent()
+    assert box.y0 >= 0.0
+    assert box.y1 <= drawn[0].figure.bbox.height
+
+
 def test_titles_in_picture_files_are_not_cut_off(tmp_path: Path) -> None:
     panel = Panel(
         "Force that the model lacks on carriage_x, against velocity of carriage_x", "", lambda axes: None, 2.8

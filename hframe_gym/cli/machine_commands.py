@@ -132,8 +132,11 @@ def new_machine_file(
         str, Option(help="Moving mass along x and y without rotors, kg, e.g. 0.4,1.2, or inertia, kg m^2.")
     ] = "",
     pulley_radius: Annotated[float | None, Option(help="Pitch radius of the motors' pulleys, m.")] = None,
+    travel_per_turn: Annotated[
+        float | None, Option(help="Travel per turn of a screw (its lead) or pulley, m: axis, xy-table.")
+    ] = None,
     gear_ratio: Annotated[
-        float | None, Option(help="Turns of the motor per turn of the pulley or axis.")
+        float | None, Option(help="Turns of the motor per turn of the pulley, screw or axis.")
     ] = None,
     rotor_inertia: Annotated[float | None, Option(help="Inertia of a motor's rotor, kg m^2.")] = None,
     torque_constant: Annotated[
@@ -170,6 +173,7 @@ def new_machine_file(
         "travel": travel,
         "mass": mass,
         "pulley_radius": pulley_radius,
+        "travel_per_turn": travel_per_turn,
         "gear_ratio": gear_ratio,
         "rotor_inertia": rotor_inertia,
         "Kt": torque_constant,

@@ -142,7 +142,8 @@ def ask(answers: MachineAnswers, log: Callable[[str], None], force: bool = False
             answers = dataclasses.replace(answers, out=path)
     questions = {question.option: question for question in template_questions(like)}
     for option, question in questions.items():
-        if option not in answers.given and option != "linear_sensor":
+        given = answers.given.keys() & {option, question.alternative}
+        if not given and option != "linear_sensor":
             answers = _ask_value(answers, question, log)
     while "linear_sensor" in questions and "linear_sensor" not in answers.given:
         trial = answers.with_answer(

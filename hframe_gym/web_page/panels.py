@@ -16,6 +16,9 @@ from .colors import COLORS, SERIES, color
 NEED = "reports need more packages"
 PANEL_WIDTH = 3.6  # in; 346 px, so that text keeps its size on a phone
 TITLE_CHARACTERS = 44  # of a line of a title in a picture file, as many as a panel is wide
+# Of a line beside the vertical axis, per inch of the panel's height: as many as fit with 9 points in the page's font.
+# A longer label would be cut off at the panel's edges.
+LABEL_CHARACTERS = 12
 MAX_COLUMNS = 3  # panels beside each other in a picture file
 MAX_TICKS = (
     6  # intervals between the ticks of a horizontal axis; eight numbers of six characters fill a panel
@@ -89,8 +92,7 @@ def panel_svg(panel: Panel, prefix: str) -> str:
     with matplotlib.rc_context(plot_style() | {"svg.hashsalt": prefix}):
         figure = Figure(figsize=(PANEL_WIDTH, panel.height), layout="constrained")
         axes = figure.subplots()
-        panel.draw(axes)
-        _limit_ticks(axes)
+        _draw(panel, axes)
         _fix_layout(figure)
         buffer = StringIO()
         figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
@@ -129,8 +131,7 @@ def save_panels(panels: Sequence[Panel], path: Path) -> None:
         figure = Figure(figsize=(PANEL_WIDTH * columns, height), dpi=120, layout="constrained")
         grid = figure.subplots(rows, columns, squeeze=False).ravel()
         for axes, panel in zip(grid, panels, strict=False):
-            panel.draw(axes)
-            _limit_ticks(axes)
+            _draw(panel, axes)
             title = textwrap.fill(panel.title, TITLE_CHARACTERS)
             axes.set_title(title, loc="left", pad=22 if axes.get_legend() else 6)
         for axes in grid[len(panels) :]:
@@ -138,6 +139,13 @@ def save_panels(panels: Sequence[Panel], path: Path) -> None:
         _fix_layout(figure)
         with atomic_file(path) as file:
             figure.savefig(file, dpi=120, format=path.suffix[1:])
+
+
+def _draw(panel: Panel, axes: Any) -> None:
+    """Draw a plot on its axes, with ticks and labels that fit into the panel."""
+    panel.draw(axes)
+    _limit_ticks(axes)
+    axes.set_ylabel(textwrap.fill(axes.get_ylabel(), round(LABEL_CHARACTERS * panel.height)))
 
 
 def _limit_ticks(axes: Any) -> None:

@@ -81,6 +81,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
             "--travel",
             "--mass",
             "--pulley-radius",
+            "--travel-per-turn",
             "--gear-ratio",
             "--rotor-inertia",
             "--Kt",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import re
 import shlex
 import subprocess
@@ -166,7 +167,7 @@ def test_new_asks_on_a_terminal(tmp_path: Path) -> None:
         "600",
         "0.6",
         "2.5",
-        "0.012",
+        "0.075",
         "",
         "1e-5",
         "",
@@ -195,12 +196,12 @@ def test_new_asks_on_a_terminal(tmp_path: Path) -> None:
     ):
         assert refusal in out
     assert "no sensor is left: give the lines of encoders, or keep the linear sensor" in out
-    assert "along x: 2.569 kg with the rotors, " in out
+    assert "along x: 2.57 kg with the rotors, " in out
     assert out.count("check the units of the values you entered") == 1
     assert "--" not in out.partition("next: ")[0]  # a user who answers questions knows no options
     assert (tmp_path / "old.json").read_text() == "{}"
     machine = load_machine(tmp_path / "rig.json")
-    assert machine.drives[0].gear_ratio == pytest.approx(1 / 0.012)
+    assert machine.drives[0].gear_ratio == pytest.approx(2 * math.pi / 0.075)
     assert machine.drives[0].rated_voltage == 24.0
     assert machine.drives[0].Kt == 0.05
     assert [(s.channel, s.kind) for s in machine.sensors] == [("x_m", "encoder")]
@@ -240,6 +241,26 @@ def test_an_answer_that_leaves_no_sensor_is_asked_for_again(
     options = machine_questions.ask(answers, said.append).options()
     assert [s.channel for s in machine_questions.new_machine(like, "m", options).sensors] == sensors
     assert sum(line.startswith("no sensor is left") for line in said) == 1
+
+
+def test_with_the_radius_of_the_pulleys_nobody_is_asked_for_the_travel_per_turn(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    from hframe_gym.cli import machine_questions
+
+    asked: list[str] = []
+
+    def prompt(text: str, default: Any, type: Any = None) -> Any:
+        asked.append(text)
+        return default
+
+    monkeypatch.setattr(machine_questions.typer, "prompt", prompt)
+    monkeypatch.setattr(machine_questions.typer, "confirm", lambda text, default: True)
+    for given, expected in (({}, 1), ({"pulley_radius": 0.012}, 0)):
+        asked.clear()
+        answers = machine_questions.MachineAnswers("axis", tmp_path / "m.json", given=given)
+        machine_questions.ask(answers, print)
+        assert sum(text.startswith("Travel per turn") for text in asked) == expected
 
 
 def test_sensors_that_are_chosen_may_be_the_only_ones(

@@ -54,7 +54,11 @@ _AT_REST: dict[str, Callable[[Drive], float]] = {
     "current": lambda drive: drive.rated_voltage / drive.resistance,
     "torque": lambda drive: drive.Kt * drive.rated_voltage / drive.resistance,
 }
-_LONGEST = {"travel": 20.0, "pulley_radius": 1.0}  # m; larger values are refused, they are in millimeters
+_LONGEST = {
+    "travel": 20.0,
+    "pulley_radius": 1.0,
+    "travel_per_turn": 1.0,
+}  # m; larger values are refused, they are in millimeters
 
 
 @dataclass(frozen=True)
@@ -215,8 +219,10 @@ class MachineOptions:
         mass: Moving masses along x and y (an axis: along x only), kg; of a rotary axis the moment of inertia, kg m^2.
         pulley_radius: Pitch radius of the motors' pulleys, m. With the template "axis", the gear ratio of the drive
             (rad of the motor per m) becomes gear_ratio / pulley_radius, where a `gear_ratio` of None counts as 1.
-        gear_ratio: Turns of the motor per turn of the pulley. With the template "axis" and without `pulley_radius`:
-            angle of the motor per travel of the carriage, rad/m.
+        travel_per_turn: In place of `pulley_radius` where the motor moves a carriage directly: travel per turn, m; the
+            lead of a screw, 2 pi times the radius of a pulley.
+        gear_ratio: Turns of the motor per turn of the pulley or screw. With the template "axis" and without either of
+            both: angle of the motor per travel of the carriage, rad/m.
         rotor_inertia: Moment of inertia of a motor's rotor, kg m^2. gear_ratio^2 * rotor_inertia replaces the moment of
             inertia of the driven pulleys; it is added to the mass of a carriage or shaft that the motor moves directly.
         Kt: Torque constant of the motors, Nm/A; Ke becomes the same, in Vs/rad.
@@ -235,6 +241,7 @@ class MachineOptions:
     travel: tuple[float, ...] | None = None
     mass: tuple[float, ...] | None = None
     pulley_radius: float | None = None
+    travel_per_turn: float | None = None
     gear_ratio: float | None = None
     rotor_inertia: float | None = None
     Kt: float | None = None
@@ -256,6 +263,7 @@ class TemplateQuestion:
         default: Value of the template, SI; for `travel` and `mass` a text with one value per axis, separated by commas.
         choices: The answers that are accepted, and what each means; empty if the answer is a value.
         several: Whether the answer is any number of the choices, by default none, instead of one.
+        alternative: Another option in `MachineOptions` that states the same quantity; empty if there is none.
     """
 
     option: str
@@ -263,6 +271,7 @@ class TemplateQuestion:
     default: str | float | int | bool
     choices: Mapping[str, str] = field(default_factory=dict)
     several: bool = False
+    alternative: str = ""
 
 
 def template_questions(like: str) -> tuple[TemplateQuestion, ...]:
@@ -274,9 +283,9 @@ def template_questions(like: str) -> tuple[TemplateQuestion, ...]:
     is_pulley = moved.kind == "rotary" and not turning
     questions: list[TemplateQuestion] = []
 
-    def ask(option: str, text: str, default: str | float | int | bool) -> None:
+    def ask(option: str, text: str, default: str | float | int | bool, alternative: str = "") -> None:
         rounded = float(f"{default:.4g}") if isinstance(default, float) else default
-        questions.append(TemplateQuestion(option, text, rounded))
+        questions.append(TemplateQuestion(option, text, rounded, alternative=alternative))
 
     if not turning:
         travel = [f"{c.range[1] - c.range[0]:g}" if c.range else "1" for c in axes]
@@ -287,12 +296,16 @@ def template_questions(like: str) -> tuple[TemplateQuestion, ...]:
         else ("Moving mass along x and y, kg" if planar else "Moving mass without the motor, kg")
     )
     ask("mass", mass, ",".join(f"{c.mass:g}" for c in axes))
-    if not turning:
-        radius = moved.radius if is_pulley else 1.0 / drive.gear_ratio
-        ask("pulley_radius", "Pitch radius of the motors' pulleys, m", radius)
+    if is_pulley:
+        ask("pulley_radius", "Pitch radius of the motors' pulleys, m", moved.radius)
+    elif not turning:
+        per_turn = 2.0 * math.pi / drive.gear_ratio
+        text = "Travel per turn, m: lead of the screw, or pitch times teeth of the pulley"
+        ask("travel_per_turn", text, per_turn, "pulley_radius")
     if not follows:
         ratio = drive.gear_ratio if moved.kind == "rotary" else 1.0
-        ask("gear_ratio", f"Turns of the motor per turn of the {'axis' if turning else 'pulley'}", ratio)
+        turned = "axis" if turning else "pulley" if is_pulley else "screw or pulley"
+        ask("gear_ratio", f"Turns of the motor per turn of the {turned}", ratio)
     if not (turning and follows):
         inertia = moved.mass / drive.gear_ratio**2 if is_pulley else 0.0
         ask("rotor_inertia", "Moment of inertia of a motor's rotor, kg m^2", inertia)
@@ -429,7 +442,15 @@ def _commented(
 
 def _check(like: str, machine: Machine, options: MachineOptions) -> None:
     """Check that options are positive and fit the template."""
-    applies = {question.option for question in template_questions(like)} | {"values"}
+    questions = template_questions(like)
+    for question in questions:
+        both = (question.option, question.alternative)
+        if question.alternative and all(getattr(options, name) is not None for name in both):
+            first, second = (f"--{name.replace('_', '-')}" for name in both)
+            raise InputError(f"{first}: {second} states the same; give one of both")
+    applies = {name for question in questions for name in (question.option, question.alternative)} | {
+        "values"
+    }
     for info in dataclasses.fields(options):
         if info.name not in applies and getattr(options, info.name) not in (info.default, None):
             raise InputError(
@@ -492,8 +513,11 @@ def _drive(machine: Machine, drive: Drive, options: MachineOptions) -> Drive:
         "gear_ratio": options.gear_ratio,
     }
     new |= {key: value for key, value in given.items() if value is not None}
-    if options.pulley_radius is not None and machine.coordinate(drive.coordinate).kind == "linear":
-        new["gear_ratio"] = (options.gear_ratio or 1.0) / options.pulley_radius
+    radius = options.pulley_radius
+    if options.travel_per_turn is not None:
+        radius = options.travel_per_turn / (2.0 * math.pi)
+    if radius is not None and machine.coordinate(drive.coordinate).kind == "linear":
+        new["gear_ratio"] = (options.gear_ratio or 1.0) / radius
     return dataclasses.replace(drive, **new)  # type: ignore[arg-type]
 
 

@@ -154,6 +154,19 @@ def test_a_gear_changes_the_resolution_of_the_encoders_on_the_motor_shafts() -> 
     assert machine.sensor("phi1_rad").resolution == pytest.approx(before / 2)
 
 
+@pytest.mark.parametrize("like", ["axis", "xy-table"])
+def test_a_screw_with_its_lead_and_a_gear(like: str) -> None:
+    axes = len(BUILTIN_MACHINES[like]().tool_axes)
+    masses = (20.0,) * axes
+    options = MachineOptions(mass=masses, travel_per_turn=0.005, gear_ratio=2.0, rotor_inertia=1e-4)
+    machine = new_machine(like, "screw", options)
+    ratio = 2.0 * 2.0 * math.pi / 0.005  # rad of the motor per m
+    assert [drive.gear_ratio for drive in machine.drives] == pytest.approx([ratio] * axes)
+    assert [machine.coordinate(name).mass for name in machine.tool_axes] == pytest.approx(
+        [20.0 + 1e-4 * ratio**2] * axes
+    )
+
+
 def test_an_axis_with_a_pulley_a_rotor_and_an_encoder_only() -> None:
     options = MachineOptions(
         travel=(0.6,),
@@ -276,6 +289,13 @@ def test_a_preset_reaches_its_goals_with_the_controller_for_its_drives(name: str
         ("axis", {"mass": (1.0, 2.0)}, "--mass: axis needs 1 value,"),
         ("corexy", {"Kt": -1.0}, "--Kt -1: must be positive"),
         ("corexy", {"pulley_radius": 0.0}, "--pulley-radius 0: must be positive"),
+        ("corexy", {"travel_per_turn": 0.04}, "--travel-per-turn: corexy has none"),
+        ("axis", {"travel_per_turn": 5.0}, "--travel-per-turn 5: is it in millimeters"),
+        (
+            "xy-table",
+            {"travel_per_turn": 0.005, "pulley_radius": 0.01},
+            "--travel-per-turn: --pulley-radius states the same; give one of both",
+        ),
         ("corexy", {"rated_voltage": math.inf}, "--rated-voltage inf"),
         ("corexy", {"travel": (300.0, 200.0)}, "--travel 300: is it in millimeters"),
         ("corexy", {"encoder_lines": 0, "linear_sensor": False}, "no sensor is left"),
