@@ -149,10 +149,15 @@ def _amplitude(
 
 
 def _frequencies(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
-    """Report the spectrum of each input relative to the machine's lowest belt mode."""
+    """Report the spectrum of each input relative to the machine's lowest belt mode.
+
+    What excites the belts is a force. A set point's power says little about it: a position has hardly any at the modes,
+    although its accelerations excite them.
+    """
     findings = []
-    modes = belt_modes(machine)
-    for column, channel in enumerate(machine.input_channels):
+    belts = belt_modes(machine)
+    for column, drive in enumerate(machine.drives):
+        channel, modes = drive.channel, [] if drive.law else belts
         grids, powers = [], []
         for recording in recordings:
             values = recording.inputs[:, column] - recording.inputs[:, column].mean()

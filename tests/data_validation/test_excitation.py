@@ -56,6 +56,17 @@ def test_inputs_far_above_the_rated_voltage_are_advice(runs: list[Recording], hf
     )
 
 
+def test_power_at_the_belt_modes_is_asked_of_forces_and_not_of_set_points() -> None:
+    time_s = 1e-3 * np.arange(1500)
+    slow = np.outer(np.sin(2.0 * np.pi * 2.0 * time_s), [1.0, 0.5])
+    for name, asked in (("corexy", True), ("printer", False)):
+        machine = BUILTIN_MACHINES[name]()
+        run = Recording("run", time_s, slow, machine.simulate(time_s, slow).outputs)
+        power = [f for f in check_recordings([run], machine) if "of its power is below" in f.message]
+        assert {f.channel for f in power} == set(machine.input_channels)
+        assert {"belts are poorly identifiable" in f.message for f in power} == {asked}
+
+
 def test_a_duty_cycle_is_reported_as_a_fraction(runs: list[Recording], hframe: Machine) -> None:
     """Recordings hold the voltage that a duty cycle makes of the supply, which may exceed the rated one."""
     drives = tuple(
