@@ -40,6 +40,7 @@ from .sampling import (
 )
 from .scales import check_scales
 from .speeds import check_speeds
+from .starts import check_starts
 from .stuck_outputs import NOISE_SPAN, stuck_outputs
 from .wiring import check_wiring
 
@@ -55,9 +56,9 @@ def check_recordings(recordings: Sequence[Recording], machine: Machine) -> list[
     """Check recordings of a machine before identification.
 
     The checks cover the clock, the timing of the voltages, the rest before the motion, the sensors (noise, outliers,
-    wrapped, empty, stuck or clipped channels), the wiring (signs, swapped channels, units, gear ratios), the
-    excitation, and the precision with which parameters can be estimated. If the times of a run appear to be in
-    milliseconds, only this is reported.
+    wrapped, empty, stuck or clipped channels), the wiring (signs, swapped channels, units, gear ratios), starts from
+    rest against a command, the excitation, and the precision with which parameters can be estimated. If the times of a
+    run appear to be in milliseconds, only this is reported.
 
     Returns:
         Findings (severity, run, channel, message) sorted by severity: faults first, then advice, then notes.
@@ -93,8 +94,8 @@ def check_before_fit(recordings: Sequence[Recording], machine: Machine) -> list[
 
     `hframe identify` calls this function first. It makes those checks of `check_recordings` that concern the quality of
     the data: clock, slow sensors, wraps, outliers, motion without input, inputs that never change or are logged late,
-    stuck or clipped outputs, wiring (signs, swapped channels, units, gear ratios), and speeds that contradict
-    positions. It does not check whether the excitation suffices.
+    stuck or clipped outputs, wiring (signs, swapped channels, units, gear ratios), speeds that contradict positions,
+    and starts from rest against a command. It does not check whether the excitation suffices.
 
     Returns:
         Findings (severity, run, channel, message): first those of severity "fault", which make a fit meaningless, then
@@ -148,6 +149,8 @@ def _faults_and_advice(
         return [*findings, Finding("fault", "", "", message)]
     moved = [recording for recording in cleaned if recording.name in moving]
     findings += _position_checks(moved, data, machine) + check_speeds(moved, machine)
+    if not any(finding.severity == "fault" for finding in findings):
+        findings += check_starts(moved, data, machine)
     if any(finding.severity == "fault" for finding in findings):
         return findings  # a fit would be meaningless
     moving_data = data.with_runs(moving)

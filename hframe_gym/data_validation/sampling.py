@@ -97,8 +97,10 @@ def check_sampling(recording: Recording) -> list[Finding]:
     elif gaps.any():
         lost = float(np.sum(steps[gaps]) - np.sum(gaps) * usual)  # s
         duration = f"{lost:.3g} s" if lost >= 1.0 else f"{1e3 * lost:.3g} ms"
+        count = int(gaps.sum())
+        number = f"{count} gaps" if count > 1 else "1 gap"
         message = (
-            f"{int(gaps.sum())} gaps ({duration} in total, {100 * lost / np.sum(steps):.2g} %): samples were "
+            f"{number} ({duration} in total, {100 * lost / np.sum(steps):.2g} %): samples were "
             "dropped or taken late; identification estimates the inputs in gaps of up to 20 rows from the motion"
         )
         findings.append(Finding("advice", recording.name, "time_s", message))

@@ -207,15 +207,20 @@ def test_an_angle_that_wraps_is_unwrapped_and_named(runs: list[Recording], hfram
     assert [f for f in findings if f not in lines] == []
 
 
-def test_dropped_samples_are_reported(runs: list[Recording], hframe: Machine) -> None:
+@pytest.mark.parametrize(
+    ("dropped", "message"), [([500, 900, 901], "2 gaps (3 ms in total"), ([500], "1 gap (1 ms in total")]
+)
+def test_dropped_samples_are_reported(
+    runs: list[Recording], hframe: Machine, dropped: list[int], message: str
+) -> None:
     run = runs[0]
     keep = np.ones(len(run.time_s), bool)
-    keep[[500, 900, 901]] = False
+    keep[dropped] = False
     [warning] = check_before_fit(
         [Recording("r", run.time_s[keep], run.inputs[keep], run.outputs[keep])], hframe
     )
     assert warning.channel == "time_s"
-    assert "2 gaps (3 ms in total" in warning.message
+    assert message in warning.message
 
 
 def test_jitter_of_a_few_percent_is_a_note_and_more_is_advice(runs: list[Recording], hframe: Machine) -> None:

@@ -239,11 +239,25 @@ def _described(
     for fitted, labels in descriptions(start, part, test.criteria, log, budget):
         again = test.evaluate(outcome._replace(after=fitted))
         ratio = error_ratio(again.after, base)
-        log(f"described by {', '.join(labels)}: {ratio:.3g} times the error on the held-out runs")
-        if description_helps(error_ratio(again.after, best.after if best else base)):
+        helps = description_helps(error_ratio(again.after, best.after if best else base))
+        log(description_line(labels, ratio, helps=helps))
+        if helps:
             lacking, without = again.after.held_out.lacking, evaluated.before.held_out.lacking
             best, sentence = again, description_sentence(labels, ratio, lacking, without)
     return None if best is None else (best, sentence)
+
+
+def description_line(labels: Sequence[str], ratio: float, *, helps: bool) -> str:
+    """Say in a line of the log whether effects describe the remaining error.
+
+    Args:
+        labels: Labels of the effects.
+        ratio: Error on the held-out runs with them, relative to that without.
+        helps: Whether the machine with them is kept.
+    """
+    error = f"{ratio:.3g} times the error on the held-out runs"
+    effects = ", ".join(labels)
+    return f"described by {effects}: {error}" if helps else f"  no description by {effects}: {error}"
 
 
 def description_sentence(

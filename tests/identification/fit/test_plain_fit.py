@@ -24,7 +24,11 @@ from hframe_gym.identification.fit.plain_fit import (
     plain_fit,
 )
 from hframe_gym.identification.predict.prediction import SIMULATION
-from hframe_gym.identification.validate.simpler_machines import description_sentence, descriptions
+from hframe_gym.identification.validate.simpler_machines import (
+    description_line,
+    description_sentence,
+    descriptions,
+)
 from hframe_gym.machine import BUILTIN_MACHINES, Machine, Sensor
 from hframe_gym.recordings import Recording
 
@@ -256,6 +260,14 @@ def test_a_description_that_misses_more_force_is_not_recommended_for_control(
     assert "describes the remaining error by interpolation_error@x_m. They are no causes" in sentence
     assert ("lacks 80 % of the drives' force, without them 6 %" in sentence) == only_complete_runs
     assert ("before.json" in sentence) == only_complete_runs
+
+
+def test_the_log_tells_a_description_from_effects_that_help_in_the_fitted_runs_only() -> None:
+    labels = ["frame_resonance@x"]
+    assert description_line(labels, 0.5, helps=True).startswith("described by frame_resonance@x: 0.5 times")
+    line = description_line(labels, 1.38, helps=False)
+    assert "described by" not in line
+    assert "frame_resonance@x: 1.38 times the error" in line
 
 
 def test_a_description_stands_where_the_voltages_change_between_rows() -> None:
