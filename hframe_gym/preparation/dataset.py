@@ -251,6 +251,32 @@ class Dataset:
         """
         return dataclasses.replace(self, runs=tuple(run for run in self.runs if run.name in names))
 
+    def leaving_out(self, piece: int, pieces: int) -> tuple[Dataset, Dataset]:
+        """Divide the data set into one piece of a run and everything else.
+
+        A piece keeps the measurements beside it, which have no weight, so that an observer follows the complete run.
+
+        Args:
+            piece: Index of the piece among those of all runs, in the order of the runs, from 0.
+            pieces: Number of pieces into which each run is divided; 1 for complete runs.
+
+        Returns:
+            Everything else, and the piece.
+        """
+        index, part = divmod(piece, pieces)
+        run, before, after = self.runs[index], self.runs[:index], self.runs[index + 1 :]
+        if pieces == 1:
+            return dataclasses.replace(self, runs=before + after), dataclasses.replace(self, runs=(run,))
+        rows = np.array_split(np.arange(len(run.weights)), pieces)[part]
+        inside = np.zeros_like(run.weights)
+        inside[rows] = run.weights[rows]
+        rest = dataclasses.replace(run, weights=run.weights - inside)
+        left_out = dataclasses.replace(run, weights=inside)
+        return (
+            dataclasses.replace(self, runs=(*before, rest, *after)),
+            dataclasses.replace(self, runs=(left_out,)),
+        )
+
     def with_inputs(self, inputs: Mapping[str, Array]) -> Dataset:
         """Return a copy with other voltages.
 

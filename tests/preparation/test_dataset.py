@@ -75,6 +75,20 @@ def test_runs_are_chosen_by_name_and_all_measurements_return(hframe: Machine) ->
     np.testing.assert_allclose(restored.runs[0].outputs[:, 2], 0.01, atol=1e-9)
 
 
+@pytest.mark.parametrize(("pieces", "piece", "counts"), [(1, 1, (204.0, 102.0)), (2, 3, (255.0, 51.0))])
+def test_a_piece_is_left_out_of_the_fit_and_remains_measured(
+    hframe: Machine, pieces: int, piece: int, counts: tuple[float, float]
+) -> None:
+    """Each run has 50 values of each laser, and one of each encoder; at rest, all repeats of it count as one."""
+    outputs = np.tile([0.0, 0.0, 0.01, 0.02], (50, 1))
+    data = prepare([resting(outputs, f"run_{i}") for i in range(3)], hframe)
+    others, left_out = data.leaving_out(piece, pieces)
+    assert data.count == pytest.approx(sum(counts))
+    assert (others.count, left_out.count) == pytest.approx(counts)
+    assert left_out.runs[0].name == "run_1"
+    np.testing.assert_array_equal(left_out.runs[0].outputs, data.runs[1].outputs)
+
+
 def test_an_angle_that_wraps_is_unwrapped_with_a_word(hframe: Machine) -> None:
     time_s = np.arange(1000) * 1e-3
     outputs = np.zeros((1000, 4))

@@ -23,6 +23,7 @@ from ..fit.model_error import (
     has_narrowest_observer,
     leave_one_out_gain,
     narrower_observer,
+    refitted_leave_one_out_gain,
 )
 from ..judge import effect as judge
 from ..judge.criteria import SelectionCriteria
@@ -139,6 +140,7 @@ def effect_evidence(without: Fit, tested: TestedFit, effect: AppliedEffect) -> E
         with_effect=with_effect.error,
         forceless=_is_forceless(effect),
         confirmed=lambda: leave_one_out_gain(without, with_effect, data),
+        confirmed_accurate=lambda: refitted_leave_one_out_gain(without, with_effect, data),
         fault=lambda: plausibility_fault(with_effect.machine),
         chance=lambda: _chance(without, with_effect, effect, data),
         chance_narrower=None if has_narrowest_observer(with_effect, data) else narrower,

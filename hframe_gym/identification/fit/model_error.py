@@ -9,7 +9,8 @@ measures distinguish true effects from the residue:
   the size of the residue; after every effect it is chosen anew. No residue: no observer (simulation, bandwidth 0).
 - An effect must be larger than the residue: its force is compared with the force by which the observer corrects the
   prediction.
-- An effect must be confirmed by runs to which its parameters were not fitted (leave-one-run-out, linearized).
+- An effect must be confirmed by runs to which its parameters were not fitted (leave-one-run-out). One step of the
+  linear model leads to the parameters without a run; where that speaks against the effect, all are fitted again.
 
 The cost is the sum of squared residuals in units of the sensors' noise; chi-squared per sample is its mean.
 """
@@ -268,9 +269,45 @@ def leave_one_out_gain(without: Fit, with_effect: Fit, data: Dataset) -> float:
         Reduction of the cost, dimensionless, summed over all runs. It is usually smaller than the reduction on the
         fitted runs, and negative if the effect describes single runs rather than the machine.
     """
-    table = any(e.definition.family == TABLE_FAMILY for e in with_effect.machine.effects)
-    pieces = pieces_left_out(len(data.runs), table=table)
+    pieces = _pieces_to_confirm(with_effect, data)
     return sum(left_out_costs(without, data, pieces)) - sum(left_out_costs(with_effect, data, pieces))
+
+
+def refitted_leave_one_out_gain(without: Fit, with_effect: Fit, data: Dataset) -> float:
+    """Return what `leave_one_out_gain` does, with parameters that are fitted again without each piece.
+
+    The step of the linear model is too long where a single run determines a combination of parameters: without this
+    run, they leave the range in which the model is linear. All pieces are left out once more, because a choice of those
+    that speak against the effect would confirm what chance explains.
+
+    Args:
+        without: Fit without the effect.
+        with_effect: Fit with the effect, at the same observer bandwidth (of the feedback of measurements).
+        data: Runs that were fitted.
+
+    Returns:
+        Reduction of the cost, dimensionless, summed over all runs.
+    """
+    pieces = _pieces_to_confirm(with_effect, data)
+    gain = 0.0
+    for piece in range(pieces * len(data.runs)):
+        others, left_out = data.leaving_out(piece, pieces)
+        gain += _refitted_cost(without, others, left_out) - _refitted_cost(with_effect, others, left_out)
+    return gain
+
+
+def _refitted_cost(fitted: Fit, others: Dataset, left_out: Dataset) -> float:
+    """Return the cost of data that are left out, with parameters that are fitted to all others until convergence."""
+    model, accurate = (fitted.machine, fitted.free, others, fitted.bandwidth), _CONVERGED_COST / others.count
+    step = fitted.longest_step
+    again = fit(*model, theta=fitted.theta, tolerance=accurate, longest_step=step)
+    return prediction_cost(again.machine, left_out, fitted.bandwidth, longest_step=step)
+
+
+def _pieces_to_confirm(with_effect: Fit, data: Dataset) -> int:
+    """Return into how many pieces each run is divided to confirm an effect."""
+    table = any(e.definition.family == TABLE_FAMILY for e in with_effect.machine.effects)
+    return pieces_left_out(len(data.runs), table=table)
 
 
 def pieces_left_out(runs: int, *, table: bool) -> int:

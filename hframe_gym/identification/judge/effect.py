@@ -153,7 +153,8 @@ class EffectEvidence:
         without: Error without the effect.
         with_effect: Error with it.
         forceless: Whether it adds coordinates or changes the clock; it then has no force at those of the machine.
-        confirmed: Reduction of the cost in runs to which the effect was not fitted.
+        confirmed: Reduction of the cost in runs to which the effect was not fitted, by a linear model.
+        confirmed_accurate: The same, fitted again without each piece.
         fault: Why the machine with the effect is not physical, as `fault_of_machine` says.
         chance: Reduction and long-run variance at the observer of both fits.
         chance_narrower: The same at the next narrower observer; None for a simulation.
@@ -171,6 +172,7 @@ class EffectEvidence:
     with_effect: FitError
     forceless: bool
     confirmed: Measured
+    confirmed_accurate: Measured
     fault: Callable[[], str]
     chance: Callable[[], Chance]
     chance_narrower: Callable[[], Chance] | None
@@ -222,7 +224,7 @@ def doubt_beside_others(evidence: EffectEvidence, criteria: SelectionCriteria) -
 def _doubt(evidence: EffectEvidence, criteria: SelectionCriteria, *, statistical: bool) -> str:
     """Return the first reason against an effect; the order is that of the costs of the evidence."""
     return (
-        (statistical and unconfirmed(evidence.gain, evidence.confirmed(), criteria))
+        (statistical and _unconfirmed(evidence, criteria))
         or evidence.fault()
         or (statistical and _by_chance(evidence, criteria))
         or (statistical and _in_the_motion(evidence))
@@ -269,14 +271,12 @@ def _is_confirmed(gain: float, confirmed: float, criteria: SelectionCriteria) ->
     return confirmed >= criteria.min_confirmed_fraction * gain
 
 
-def unconfirmed(gain: float, confirmed: float, criteria: SelectionCriteria) -> str:
-    """Return the doubt that an effect describes single runs rather than the machine; "" if other runs confirm it.
-
-    Args:
-        gain: Reduction of the cost in the runs to which the effect was fitted, dimensionless.
-        confirmed: The same in runs to which it was not fitted, dimensionless.
-        criteria: Decision threshold `min_confirmed_fraction`.
-    """
+def _unconfirmed(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
+    """Return the doubt that an effect describes single runs rather than the machine; "" if other runs confirm it."""
+    gain = evidence.gain
+    if _is_confirmed(gain, evidence.confirmed(), criteria):
+        return ""
+    confirmed = evidence.confirmed_accurate()
     if _is_confirmed(gain, confirmed, criteria):
         return ""
     there = f"{100 * confirmed / gain:.0f} % of the gain" if confirmed >= 0.0 else "their error grows with it"
@@ -396,7 +396,8 @@ class TimingEvidence:
         search: Costs without and with the effect, with the observer of the search.
         wide: The same with the wider observer.
         variance: Function that returns the variance of the residual in the effect's direction, with the wider observer.
-        confirmed: Reduction of the cost in runs to which the effect was not fitted, with the wider observer.
+        confirmed: Reduction of the cost in runs to which it was not fitted, with the wider observer, by a linear model.
+        confirmed_accurate: The same, fitted again without each piece.
         fault: Why the machine with the effect is not physical.
         held_out_gain: Function that returns which fraction of the error of the held-out runs it removes, with the wider
             observer; infinite without such runs.
@@ -406,6 +407,7 @@ class TimingEvidence:
     wide: tuple[float, float]
     variance: Callable[[], LongRunVariance]
     confirmed: Measured
+    confirmed_accurate: Measured
     fault: Callable[[], str]
     held_out_gain: Measured
 
@@ -434,6 +436,7 @@ def doubt_about_timing(evidence: TimingEvidence, criteria: SelectionCriteria) ->
         return "explains a slow error, not a fast one"
     if not exceeds_chance(gain, evidence.variance(), criteria):
         return BY_CHANCE
-    if not _is_confirmed(gain, evidence.confirmed(), criteria):
+    measures = (evidence.confirmed, evidence.confirmed_accurate)
+    if not any(_is_confirmed(gain, confirmed(), criteria) for confirmed in measures):
         return "is not confirmed by runs that it was not fitted to"
     return evidence.fault() or (NO_GAIN if not evidence.held_out_gain() > 0.0 else "")

@@ -20,7 +20,13 @@ from ..evidence.plausibility import plausibility_fault
 from ..evidence.rivals import close_rivals, simplest_first
 from ..evidence.tried_effects import ConsideredEffect, Log, SelectedEffect
 from ..fit.estimation import Fit
-from ..fit.model_error import continue_fit, leave_one_out_gain, likelihood_loss, polish
+from ..fit.model_error import (
+    continue_fit,
+    leave_one_out_gain,
+    likelihood_loss,
+    polish,
+    refitted_leave_one_out_gain,
+)
 from ..fit.start_estimation import refine_dataset
 from ..judge.criteria import SelectionCriteria
 from ..judge.effect import TimingEvidence, doubt_about_timing, removed_fraction
@@ -84,6 +90,7 @@ def with_input_timing(
         wide=(current.cost, best.cost),
         variance=lambda: long_run_variance(best, effect.label, data),
         confirmed=lambda: leave_one_out_gain(current, best, data),
+        confirmed_accurate=lambda: refitted_leave_one_out_gain(current, best, data),
         fault=lambda: plausibility_fault(best.machine),
         held_out_gain=lambda: _held_out_gain(best, refine_dataset(validation, best.machine, data)),
     )

@@ -26,6 +26,7 @@ from hframe_gym.identification.fit.model_error import (
     narrower_observer,
     pieces_left_out,
     ratios_to_others,
+    refitted_leave_one_out_gain,
 )
 from hframe_gym.identification.predict.free_parameters import FreeParameter
 from hframe_gym.identification.predict.normal_equations import NormalEquations
@@ -118,8 +119,18 @@ def test_an_effect_of_one_run_is_not_confirmed_by_the_others(
     without, with_effect = fitted_axis(axis, data), fitted_axis(axis, data, constant_force=True)
     gain = without.cost - with_effect.cost
     assert gain > 100.0
-    fraction = leave_one_out_gain(without, with_effect, data) / gain
-    assert (fraction > 0.8) if confirmed else (fraction < 0.3)
+    for left_out_gain in (leave_one_out_gain, refitted_leave_one_out_gain):
+        fraction = left_out_gain(without, with_effect, data) / gain
+        assert (fraction > 0.8) if confirmed else (fraction < 0.3)
+
+
+@pytest.mark.parametrize("count", [4, 2])
+def test_true_fits_confirm_what_the_linear_model_does_where_it_holds(axis: Machine, count: int) -> None:
+    """Four runs are left out whole, two in pieces."""
+    data = recordings(axis, forces=(0.05,) * count)
+    fits = fitted_axis(axis, data), fitted_axis(axis, data, constant_force=True)
+    linear, refitted = leave_one_out_gain(*fits, data), refitted_leave_one_out_gain(*fits, data)
+    np.testing.assert_allclose(refitted, linear, rtol=0.15)
 
 
 # -- decisions with scripted fits --------------------------------------------------------------------------------------

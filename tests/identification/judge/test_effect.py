@@ -35,13 +35,18 @@ def error(chi2: float, bandwidth: float = 0.0) -> FitError:
 
 
 def evidence(without: float = 1.4, with_effect: float = 1.2, **known: Any) -> EffectEvidence:
-    """Return evidence of an effect without doubt, except for what is given; chi-squared per sample of both fits."""
+    """Return evidence of an effect without doubt, except for what is given; chi-squared per sample of both fits.
+
+    Where the effect is not confirmed by a linear model, a fit without the run says the same unless it is given.
+    """
+    known = {"confirmed_accurate": known["confirmed"], **known} if "confirmed" in known else known
     gain = (without - with_effect) * COUNT
     found = EffectEvidence(
         without=error(without),
         with_effect=error(with_effect),
         forceless=False,
         confirmed=lambda: gain,
+        confirmed_accurate=lambda: gain,
         fault=lambda: "",
         chance=lambda: Chance(gain, LongRunVariance(1.0)),
         chance_narrower=None,
@@ -87,6 +92,15 @@ FORM = "adds 19 % to the force of drag@x, which depends on the same variable: th
             {"confirmed": -4e6},
             "is not confirmed by runs that it was not fitted to (their error grows with it)",
         ),
+        ({"confirmed": -4e6, "confirmed_accurate": 0.31 * 2000.0}, ""),  # the linear step was too long
+        (
+            {"confirmed": -4e6, "confirmed_accurate": 0.29 * 2000.0},
+            "is not confirmed by runs that it was not fitted to (29 % of the gain)",
+        ),
+        (
+            {"confirmed": 0.31 * 2000.0, "confirmed_accurate": 0.0},
+            "",
+        ),  # fits are for a linear model that is against it
         ({"fault": "makes the machine diverge"}, "makes the machine diverge"),
         (
             {"chance": by_chance(2000.0, 80.0)},
@@ -240,7 +254,11 @@ def test_a_machine_must_stay_physical(rises: bool, speeds: tuple[float, float], 
         ({"variance": lambda: LongRunVariance(0.04)}, ""),  # the gain of 1 is 25 times that
         ({"variance": lambda: LongRunVariance(0.042)}, CHANCE),
         ({"confirmed": lambda: 0.31}, ""),
-        ({"confirmed": lambda: 0.29}, "is not confirmed by runs that it was not fitted to"),
+        ({"confirmed": lambda: 0.29}, ""),  # a fit without the run says otherwise
+        (
+            {"confirmed": lambda: 0.29, "confirmed_accurate": lambda: 0.29},
+            "is not confirmed by runs that it was not fitted to",
+        ),
         ({"fault": lambda: "diverges"}, "diverges"),
         ({"held_out_gain": lambda: 0.0}, "does not reduce the error of the held-out runs"),
     ],
@@ -248,7 +266,13 @@ def test_a_machine_must_stay_physical(rises: bool, speeds: tuple[float, float], 
 def test_a_delay_must_be_fast_certain_and_confirmed(changes: dict[str, Any], reason: str) -> None:
     """It removes 3 % of the error with the observer of the search, and 10 % with the wider one."""
     sure = TimingEvidence(
-        (100.0, 97.0), (10.0, 9.0), lambda: LongRunVariance(1e-3), lambda: 1.0, lambda: "", lambda: 0.1
+        search=(100.0, 97.0),
+        wide=(10.0, 9.0),
+        variance=lambda: LongRunVariance(1e-3),
+        confirmed=lambda: 1.0,
+        confirmed_accurate=lambda: 1.0,
+        fault=lambda: "",
+        held_out_gain=lambda: 0.1,
     )
     assert judge.doubt_about_timing(dataclasses.replace(sure, **changes), CRITERIA) == reason
 
