@@ -4,7 +4,8 @@ A controller that is faster than the log changes the voltages several times from
 say so, but the motion does: voltages that are held from row to row act late, by up to half a sampling period. A machine
 is therefore fitted with held voltages, then with voltages that are interpolated and change twice a row and, unless that
 gains little, four, eight and sixteen times, while the error falls. If that reduces the error clearly, the changes are
-counted by the delay that instruments find (`slow_logs.excess_delay`).
+counted by the delay that instruments find (`slow_logs.excess_delay`). No more changes are tried than the search for
+effects has integration steps: in a log at 3200 Hz none, because its rows are closer than two steps.
 """
 
 from __future__ import annotations
@@ -19,10 +20,10 @@ from ...preparation.dataset import Dataset
 from ..judge.criteria import SelectionCriteria
 from ..judge.error import required_gain
 from ..judge.run import UpdatesEvidence, may_change_between_rows, voltages_change_between_rows
-from ..predict.prediction import SEARCH_BANDWIDTH
+from ..predict.prediction import SEARCH_BANDWIDTH, SIMULATION
 from ..predict.voltage_errors import expected_excess
 from .estimation import Fit, prediction_costs
-from .model_error import continue_fit
+from .model_error import continue_fit, search_step
 from .slow_logs import ExcessDelay, excess_delay
 
 # Gain by any number of changes relative to that by two. Voltages that change n times a row act late by 1 / (2 n)
@@ -101,12 +102,15 @@ def count_updates(fitted: Fit, data: Dataset, excess: ExcessDelay | None = None)
         excess: What instruments find with that number, if it is known already.
 
     Returns:
-        The number, from 2 to 20, whose delay is closest to the one that instruments find; the first one if they find
-        none.
+        The number, from 2 to `most_updates`, whose delay is closest to the one that instruments find; the first one if
+        they find none.
     """
-    number, excess = data.updates, excess or excess_delay(fitted, data)
+    number, most = data.updates, most_updates(data)
+    if most <= 2:
+        return number
+    excess = excess or excess_delay(fitted, data)
     while excess is not None:
-        nearest = _number_with_delay(0.5 / number + excess.periods)
+        nearest = _number_with_delay(0.5 / number + excess.periods, most)
         if nearest == number:
             break
         # Where effects are missing, the estimate depends on the number itself, and the one beside may be better.
@@ -120,9 +124,9 @@ def count_updates(fitted: Fit, data: Dataset, excess: ExcessDelay | None = None)
     return number
 
 
-def _number_with_delay(periods: float) -> int:
+def _number_with_delay(periods: float, most: int) -> int:
     """Return the number of changes a row with which voltages act later by about that many sampling periods."""
-    return min(range(2, _MOST_UPDATES + 1), key=lambda number: abs(0.5 / number - periods))
+    return min(range(2, most + 1), key=lambda number: abs(0.5 / number - periods))
 
 
 def voltage_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> VoltageUpdates:
@@ -138,7 +142,7 @@ def voltage_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> 
     """
     data = data.with_updates(1)
     held = continue_fit(fitted, data, SEARCH_BANDWIDTH)
-    if not may_change_between_rows(successive_changes(data)):
+    if not can_show_updates(data):
         return VoltageUpdates(1, held.chi2, held.chi2)
     per_row, best = _least_error(held, data, required_gain(held.error, criteria) / _MOST_FURTHER_GAIN)
     if per_row > 1:
@@ -154,6 +158,30 @@ def voltage_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> 
             fitted = continue_fit(best, data.with_updates(per_row), SEARCH_BANDWIDTH)
             return VoltageUpdates(per_row, held.chi2, fitted.chi2)
     return VoltageUpdates(1, held.chi2, held.chi2)
+
+
+def can_show_updates(data: Dataset) -> bool:
+    """Return whether the motion can show that the voltages change between the rows: rows far apart, without rests.
+
+    Args:
+        data: Runs (times, voltages, measurements, SI).
+    """
+    return most_updates(data) > 1 and may_change_between_rows(successive_changes(data))
+
+
+def most_updates(data: Dataset) -> int:
+    """Return up to how many changes of the voltages from one row to the next are told apart.
+
+    Changes that follow each other faster than the integration steps of the search (0.25 ms) move the voltages by less
+    than half a step, but multiply the steps of every simulation.
+
+    Args:
+        data: Runs, whose sampling period counts.
+
+    Returns:
+        The number, from 1 to 20; 1 if the rows follow each other as fast as these steps.
+    """
+    return min(max(round(data.period / search_step(SIMULATION)), 1), _MOST_UPDATES)
 
 
 def successive_changes(data: Dataset) -> float:
@@ -176,7 +204,8 @@ def _least_error(held: Fit, data: Dataset, promising: float) -> tuple[int, Fit]:
     More than two are tried only if two reduce chi-squared per sample by the promising gain.
     """
     best, per_row = held, 1
-    for trial in _TRIALS:
+    most = most_updates(data)
+    for trial in (number for number in _TRIALS if number <= most):
         goal = min(best.cost, held.cost - promising * held.count)
         refitted = continue_fit(best, data.with_updates(trial), held.bandwidth, goal=goal)
         if not refitted.cost < best.cost or held.chi2 - refitted.chi2 < promising:

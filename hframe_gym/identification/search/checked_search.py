@@ -21,7 +21,7 @@ from ..fit.lost_voltages import held_over_gaps, with_lost_voltages
 from ..fit.plain_fit import PlainFit, better_start, plain_fit
 from ..fit.run_differences import find_run_differences
 from ..fit.start_estimation import refine_dataset
-from ..fit.voltage_updates import voltage_updates
+from ..fit.voltage_updates import can_show_updates, voltage_updates
 from ..judge.criteria import SelectionCriteria
 from ..judge.held_out import HeldOutEffect, refuted_effects
 from ..judge.run import MIN_RUNS_COMPARED, differs_alone, exchanges_held_out
@@ -196,6 +196,8 @@ def _search_and_check(
             for each in (data, all_rows)
         )
         refitted = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
+    if can_show_updates(data):
+        log(f"comparing held {machine.commands_in_words} with some that change between the rows")
     updates, known = voltage_updates(refitted, data, criteria), machine
     search = partial(_search, machine, refitted=refitted, criteria=criteria, log=log, budget=budget)
     rejected: dict[int, int] = {}

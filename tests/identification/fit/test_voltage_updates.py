@@ -11,7 +11,14 @@ import pytest
 from hframe_gym import simulate
 from hframe_gym.data_validation.sampling import check_voltages_between_rows
 from hframe_gym.identification import Dataset, Fit, SelectionCriteria, default_free_parameters, fit, prepare
-from hframe_gym.identification.fit.voltage_updates import VoltageUpdates, successive_changes, voltage_updates
+from hframe_gym.identification.fit import voltage_updates as voltage_updates_module
+from hframe_gym.identification.fit.voltage_updates import (
+    VoltageUpdates,
+    can_show_updates,
+    most_updates,
+    successive_changes,
+    voltage_updates,
+)
 from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH, SIMULATION, predict
 from hframe_gym.identification.validate.recording_simulation import simulate_recording
 from hframe_gym.machine import BUILTIN_MACHINES
@@ -58,6 +65,39 @@ def test_dropped_rows_show_neither_changes_nor_rests(every_row: bool, expected: 
     keep = np.arange(300) % 40 < 25  # steps at the rows 20, 60, ... are recorded
     run = Recording("run", np.arange(300)[keep] * PERIOD, volts[keep], np.zeros((keep.sum(), 1)))
     assert successive_changes(prepare([run], AXIS)) == pytest.approx(expected, abs=0.01)
+
+
+def faster(data: Dataset, times: float) -> Dataset:
+    """Return a log whose clock runs faster."""
+    return dataclasses.replace(
+        data, runs=tuple(dataclasses.replace(run, time_s=run.time_s / times) for run in data.runs)
+    )
+
+
+@pytest.mark.parametrize(
+    ("period", "most"),
+    [(10e-3, 20), (4e-3, 16), (1e-3, 4), (0.5e-3, 2), (0.49e-3, 2), (0.3125e-3, 1), (2e-5, 1)],
+)
+def test_changes_are_no_closer_than_the_steps_of_the_search(period: float, most: int) -> None:
+    assert most_updates(faster(slow_log(4), 4e-3 / period)) == most
+
+
+def test_rows_as_close_as_the_steps_of_the_search_are_not_divided(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A log at 3200 Hz is fitted with held voltages only; with 16 changes a row, each fit takes 16 times as long."""
+    slow, updates = slow_log(4), []
+    fast = faster(slow, 4e-3 / 0.3125e-3)
+    assert can_show_updates(slow)
+    assert not can_show_updates(fast)
+    continue_fit = voltage_updates_module.continue_fit
+
+    def counting(fitted: Fit, data: Dataset, bandwidth: float) -> Fit:
+        updates.append(data.updates)
+        return continue_fit(fitted, data, bandwidth)
+
+    monkeypatch.setattr(voltage_updates_module, "continue_fit", counting)
+    fitted = fit(AXIS, default_free_parameters(AXIS), fast, SEARCH_BANDWIDTH, iterations=2)
+    assert voltage_updates(fitted, fast, SelectionCriteria()).per_row == 1
+    assert updates == [1]
 
 
 def test_held_voltages_stay_held() -> None:
