@@ -27,7 +27,7 @@ IN_RESULTS = (
     "env_soak",
     "identification examples all",
     "random_rigs --seed 20271138 --count 30",
-    "random_rigs --closed-loop --seed 20271135 --count 40",
+    "random_rigs --closed-loop --seed 20271137 --count 44",
     "public_axes",
     "closed_loop_rigs",
     "outside_library --seed 3",
