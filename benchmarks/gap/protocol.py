@@ -49,6 +49,7 @@ _ADDED_SINCE = (
     ", backlash_damping=0.0",
     ", mesh_phase=(0.0, 0.0)",
     ", mesh_unloaded=1.0",
+    ", coasting_V=(0.0, 0.0)",
 )  # fields that rigs have got since, with values that change no plant
 _NOISE, _PRACTICE_NOISE = 1000, 2000  # offsets of the seeds of the sensors' noise
 
