@@ -168,7 +168,8 @@ def _fitted(machine: Machine, data: Dataset, equal: Dataset) -> PlainFit | None:
         ]
         if not effect.definition.delay:
             # Without the term, friction took its place, so that the way back from the best fit may be barred.
-            again = start.with_effects(*(e for e in best.machine.effects if e not in start.effects))
+            own = {e.label for e in start.effects}
+            again = start.with_effects(*(e for e in best.machine.effects if e.label not in own))
             trials += _output_error_fits(again.with_effects(effect), (*wide_parameters(again), *terms), equal)
         trial = min(trials, key=_finite_cost)
         if trial.cost < (1.0 - _LEAST_GAIN) * best.cost:
