@@ -73,12 +73,8 @@ def test_an_effect_on_the_moving_axis_is_found(noise_of_y: float) -> None:
     assert {d.coordinate for d in result.dependence} == {"x"}
     uncertainty = result.after.machine.uncertainty
     assert uncertainty is not None
-    for name in (
-        "y.mass",
-        "y.viscous",
-        "y.coulomb",
-        "motor_y.Ke",
-    ):  # motor_y.Kt is the unit of the forces at y
+    # Not motor_y.Kt: it is the unit of the forces at y.
+    for name in ("y.mass", "y.viscous", "y.coulomb", "motor_y.Ke"):
         prior = next(f for f in default_free_parameters(machine) if f.name == name)
         prior_std = prior.prior * (prior.center if prior.scale is None else prior.scale)
         std = uncertainty.std(name)
