@@ -1,9 +1,11 @@
 """Causes of a missing force and of what sensors disagree about, each a curve of unknown shape at one component.
 
-The library of effects is finite; what a machine really lacks may be outside it. Each cause here is weaker than an
-effect, and wider: a curve over one variable (`variables_of_motion`). It may multiply a direction of motion, a current
-or a voltage, as friction, torque and supply voltage do: friction that depends on the position of another axis is a
-curve over that position, multiplied by the direction.
+What a machine lacks may be no effect of the library. A cause says less than an effect, and covers more: it is any
+curve over one variable (`variables_of_motion`), at one component. The curve may be multiplied by the direction of
+motion (then it is friction), by a current (a torque) or by a voltage. Friction that depends on the position of another
+axis, for example, is a curve over that position, multiplied by the direction.
+
+Functions here return a cause as columns, of which `CauseComparison` fits the coefficients.
 """
 
 from __future__ import annotations
@@ -20,15 +22,16 @@ from ...machine import Machine
 from ..fit.motion_variables import smooth_sign
 from .cause_comparison import Cause, CauseComparison, Columns, Signals
 
-_KNOTS, _KNOTS_OF_FACTOR = 13, 6  # of a curve; of one that multiplies a direction, current or voltage
-_HIGHEST_HZ = 25.0  # frequency of a periodic force in slow motion; a filter removes faster ones
-_SLOW_MOTION = 0.2  # fraction of the rows of a motion that are slower
-# Periods of a periodic cause in the travel, at least; the most, in multiples of that.
-_PERIODS, _MOST_PERIODS = 2.0, 200.0
-_SCREENED_ROWS = 1500  # among which the period is searched for
+_KNOTS, _KNOTS_OF_FRICTION = 13, 6  # of a curve; of one that is multiplied by the direction of motion
+# A force that is periodic in the position has this frequency, Hz, at most in slow motion: what is compared is below 30.
+_HIGHEST_HZ = 25.0
+_SLOW_MOTION = 0.2  # fraction of the rows that are slower than slow motion
+_FEWEST_PERIODS, _MOST_PERIODS = 2.0, 400.0  # of a periodic cause, in the travel
+_WAVENUMBER_STEP = 0.3  # of the search, in periods over the travel; a peak is about one wide
+_SCREENED_ROWS = 1500  # in which the period is searched for
 _RESONANCES_HZ = np.geomspace(1.0, 25.0, 30)
-_DAMPING = 0.03  # of a resonance: rubber and steel have 0.01 to 0.1
-_LAGS_S = (0.005, 0.02, 0.05)  # of what belts do after a change of tension
+_DAMPING = 0.03  # damping ratio of a resonance: rubber and steel have 0.01 to 0.1
+_LAGS_S = (0.005, 0.02, 0.05)  # time constants of what belts do after a change of tension
 
 
 def causes_of_force(
@@ -38,22 +41,23 @@ def causes_of_force(
 
     Args:
         comparison: Comparison with the missing force.
-        directions: Force along each motion per force on a coordinate, dimensionless, shape (motions, coordinates).
+        directions: Force along each motion per force on a coordinate, dimensionless, shape (motions, coordinates). A
+            force on a coordinate without an influence is no cause.
         deviating: Coordinates whose sensors show more than noise, shape (coordinates,).
     """
     names = machine.coordinate_names
     acting = [i for i in range(len(names)) if deviating[i] and np.any(directions[:, i] != 0.0)]
     for i in acting:
         yield from _causes_on_coordinate(machine, comparison, i)
-    together: dict[str, list[tuple[int | None, Columns]]] = {}
+    of_all_drives: dict[str, list[tuple[int | None, Columns]]] = {}  # by variable
     for j, drive in enumerate(machine.drives):
         i = names.index(drive.coordinate)
         if i not in acting:
             continue
         yield from _causes_by_drive(machine, comparison, j)
-        for variable, columns in _effects_of_supply(machine, comparison.signals, j).items():
-            together.setdefault(variable, []).append((i, drive.gain * columns))
-    for variable, parts in together.items():
+        for variable, columns in _changes_by_supply(machine, comparison.signals, j).items():
+            of_all_drives.setdefault(variable, []).append((i, drive.gain * columns))
+    for variable, parts in of_all_drives.items():
         if len(parts) > 1:
             yield Cause("drives", variable, machine.drives[0].coordinate, tuple(parts))
     if acting:
@@ -61,7 +65,7 @@ def causes_of_force(
 
 
 def _causes_on_coordinate(machine: Machine, comparison: CauseComparison, i: int) -> Iterator[Cause]:
-    """Yield causes that act on coordinate i: curves, periodic forces, friction that varies, and a resonance."""
+    """Yield causes that act on coordinate i: forces, friction that varies, and a resonance."""
     signals, name = comparison.signals, machine.coordinate_names[i]
     position, velocity, acceleration = (
         f"{what} of {name}" for what in ("position", "velocity", "acceleration")
@@ -73,21 +77,21 @@ def _causes_on_coordinate(machine: Machine, comparison: CauseComparison, i: int)
     sign = smooth_sign(signals[velocity])[:, None]
     for variable in (position, velocity):
         yield on(variable, _curve(signals[variable], _KNOTS))
-    for factor in (np.ones_like(sign), sign):
+    for factor in (np.ones_like(sign), sign):  # a force, and friction
         yield on(position, factor * _periodic(comparison, i, position, velocity, factor))
     others = [c.name for c in machine.coordinates if c.kind == "linear" and c.name != name]
     for other in (f"{what} of {n}" for n in others for what in ("position", "velocity")):
         values = signals[other] if other.startswith("position") else np.abs(signals[other])
-        yield on(other, sign * _curve(values, _KNOTS_OF_FACTOR))
+        yield on(other, sign * _curve(values, _KNOTS_OF_FRICTION))
     for variable in (position, f"dwell of {name}"):
-        yield on(variable, sign * _curve(signals[variable], _KNOTS_OF_FACTOR))
+        yield on(variable, sign * _curve(signals[variable], _KNOTS_OF_FRICTION))
     for variable in (f"path of {name}", "time", "time in the run"):  # as friction warms up: slowly
         yield on(variable, sign * _polynomial(signals[variable]))
     yield on(acceleration, _resonance(comparison, i, acceleration))
 
 
 def _causes_by_drive(machine: Machine, comparison: CauseComparison, j: int) -> Iterator[Cause]:
-    """Yield causes that are forces of drive j: wrong currents and voltages, heat, and cogging with the current."""
+    """Yield causes that are forces of drive j: errors of its current and voltage, heat, and ripple of the torque."""
     signals, drive, volts = comparison.signals, machine.drives[j], machine.input_channels[j]
     i = machine.coordinate_names.index(drive.coordinate)
     amps, heat = f"current of {drive.name}", f"heat of {drive.name}"
@@ -104,8 +108,11 @@ def _causes_by_drive(machine: Machine, comparison: CauseComparison, j: int) -> I
         yield Cause(drive.name, variable, drive.coordinate, ((i, columns),))
 
 
-def _effects_of_supply(machine: Machine, signals: Signals, j: int) -> dict[str, Columns]:
-    """Return the changes of drive j, before its gain, that a supply or saturation common to all drives causes."""
+def _changes_by_supply(machine: Machine, signals: Signals, j: int) -> dict[str, Columns]:
+    """Return changes of the drive force that all drives have alike, as columns by variable, in units of its gain.
+
+    Torque saturates over the current; the voltage of the supply sags with the power.
+    """
     current = signals[f"current of {machine.drives[j].name}"][:, None]
     volts = signals[machine.input_channels[j]][:, None]
     return {
@@ -115,9 +122,14 @@ def _effects_of_supply(machine: Machine, signals: Signals, j: int) -> dict[str, 
 
 
 def _clock(machine: Machine, signals: Signals, acting: list[int]) -> Cause:
-    """Return the cause of a clock whose rate changes during the runs: all accelerations and velocities are wrong."""
-    names, late = machine.coordinate_names, signals["time in the run"][:, None]
-    middle = late - 0.5 * late.max()
+    """Return the cause of a clock whose rate changes during the runs.
+
+    Where time runs faster than the clock by a small fraction e, the true velocity is (1 - e) v and the true
+    acceleration (1 - 2 e) a, so that inverse dynamics err by e (2 m a + d v); d: viscous friction and back-EMF. Here, e
+    is a polynomial of the time in the run without a constant, which masses absorb.
+    """
+    names, time = machine.coordinate_names, signals["time in the run"][:, None]
+    from_middle = time - 0.5 * time.max()
     parts = []
     for i in acting:
         coordinate = machine.coordinates[i]
@@ -126,14 +138,14 @@ def _clock(machine: Machine, signals: Signals, acting: list[int]) -> Cause:
         )
         force = 2.0 * coordinate.mass * signals[f"acceleration of {names[i]}"]
         force += damping * signals[f"velocity of {names[i]}"]
-        parts.append((i, force[:, None] * np.hstack([middle, middle**2])))
+        parts.append((i, force[:, None] * np.hstack([from_middle, from_middle**2])))
     return Cause("clock", "time in the run", names[acting[0]], tuple(parts))
 
 
 def causes_of_disagreement(
     machine: Machine, comparison: CauseComparison, deviating: NDArray[np.bool_]
 ) -> Iterator[Cause]:
-    """Yield causes that are errors of one sensor, gaps or slip between a motor and its encoder, and of the belts.
+    """Yield causes by which sensors disagree: an error of one, play or slip behind a motor, and belts that creep.
 
     Args:
         comparison: Comparison with what the sensors disagree about.
@@ -157,7 +169,7 @@ def causes_of_disagreement(
         sensor_index = by_coordinate.get(drive.coordinate)
         if sensor_index is None or not np.any(comparison.direction(sensor_index)):
             continue
-        # A gap is open towards the load: its sign counts, its size bends shafts.
+        # Play closes on the side of the load, by its sign; shafts and belts bend in proportion to it.
         load = signals[f"load of {drive.name}"]
         loads.append((sensor_index, _curve(load / (float(load.std()) or 1.0), _KNOTS)))
         for what, columns in (
@@ -176,14 +188,14 @@ def causes_of_disagreement(
 
 
 class _Lags:
-    """Filter that returns how much a signal differs from its delayed values, first-order lags of `_LAGS_S`."""
+    """Filter that returns how much a signal differs from its values behind first-order lags of `_LAGS_S`."""
 
     def __init__(self, signals: Signals):
-        self._forgotten = [float(np.exp(-signals.period / lag)) for lag in _LAGS_S]
+        self._kept = [float(np.exp(-signals.period / lag)) for lag in _LAGS_S]
 
     def __call__(self, values: Array) -> Array:
         """Return the differences, shape (n, lags)."""
-        lagged = [signal.lfilter([1.0 - kept], [1.0, -kept], values) for kept in self._forgotten]
+        lagged = [signal.lfilter([1.0 - kept], [1.0, -kept], values) for kept in self._kept]
         return np.stack([values - late for late in lagged], axis=1)
 
 
@@ -195,7 +207,7 @@ def _polynomial(values: Array) -> Columns:
 
 
 def _curve(values: Array, knots: int) -> Columns:
-    """Return hat functions (n, at most knots) over a variable (n,); between knots are as many rows."""
+    """Return hat functions over a variable, shape (n, at most knots); the knots divide the rows into equal numbers."""
     places = np.unique(np.quantile(values, np.linspace(0.0, 1.0, knots)))
     if len(places) < 2:
         return np.ones((len(values), 1))
@@ -203,9 +215,15 @@ def _curve(values: Array, knots: int) -> Columns:
 
 
 def _periodic(comparison: CauseComparison, index: int, position: str, speed: str, factor: Columns) -> Columns:
-    """Return sine and cosine (rows, 2) of the period in a position that explains the most, multiplied by the factor.
+    """Return sine and cosine, shape (rows, 2), of the position with the period that explains the most.
 
-    Nothing of short periods is seen.
+    Periods so short that the comparison's filter removes them even in slow motion are not tried.
+
+    Args:
+        index: Coordinate, or sensor, on which the periodic cause acts.
+        position: Name of the position.
+        speed: Name of its velocity.
+        factor: By which the caller multiplies sine and cosine, shape (rows, 1).
     """
     signals = comparison.signals
     places = signals.compared(signals[position][:, None])[:, 0]
@@ -214,23 +232,28 @@ def _periodic(comparison: CauseComparison, index: int, position: str, speed: str
     slow = float(np.quantile(np.abs(signals.compared(signals[speed][:, None])), _SLOW_MOTION))
     if travel == 0.0 or slow == 0.0:
         return np.zeros((len(signals[position]), 2))
-    lowest, highest = 2.0 * np.pi * _PERIODS / travel, 2.0 * np.pi * _HIGHEST_HZ / slow
-    highest = min(max(highest, 2.0 * lowest), _MOST_PERIODS * lowest)
-    numbers = np.arange(lowest, highest, 0.3 * 2.0 * np.pi / travel)
+    one_period = 2.0 * np.pi / travel  # wavenumbers in rad per unit of the position
+    highest = max(2.0 * np.pi * _HIGHEST_HZ / slow, 2.0 * _FEWEST_PERIODS * one_period)
+    highest = min(highest, _MOST_PERIODS * one_period)
+    numbers = np.arange(_FEWEST_PERIODS * one_period, highest, _WAVENUMBER_STEP * one_period)
     every = slice(None, None, max(1, len(places) // _SCREENED_ROWS))
     places, seen = places[every], comparison.target(index)[every] * factors[every]
-    wave, turn = seen * np.exp(1j * numbers[0] * places), np.exp(1j * (numbers[1] - numbers[0]) * places)
+    # Fourier sums over unequal positions. From one wavenumber to the next, each term turns by the same angle.
+    terms, turn = seen * np.exp(1j * numbers[0] * places), np.exp(1j * (numbers[1] - numbers[0]) * places)
     sizes = np.empty(len(numbers))
     for k in range(len(numbers)):
-        sizes[k] = abs(wave.sum())
-        wave *= turn
+        sizes[k] = abs(terms.sum())
+        terms *= turn
     best = numbers[int(np.argmax(sizes))]
     angle = best * signals[position]
     return np.stack([np.sin(angle), np.cos(angle)], axis=1)
 
 
 def _resonance(comparison: CauseComparison, index: int, acceleration: str) -> Columns:
-    """Return position and velocity of the resonator, driven by an acceleration, that explains the most."""
+    """Return deflection and velocity of the resonator that explains the most, as forces per mass, shape (rows, 2).
+
+    A mass on a spring, q'' + 2 D w q' + w^2 q = -a, is driven by the acceleration a of what carries it.
+    """
     signals, target = comparison.signals, comparison.target(index)
     best, most = np.zeros((len(signals[acceleration]), 2)), 0.0
     for hertz in _RESONANCES_HZ:
@@ -238,7 +261,7 @@ def _resonance(comparison: CauseComparison, index: int, acceleration: str) -> Co
         resonator = (
             [[0.0, 1.0], [-w * w, -2.0 * _DAMPING * w]],
             [[0.0], [-1.0]],
-            np.diag([w * w, w]),
+            np.diag([w * w, w]),  # outputs w^2 q and w q'
             np.zeros((2, 1)),
         )
         discrete = signal.cont2discrete(tuple(np.array(matrix) for matrix in resonator), signals.period)
