@@ -313,10 +313,6 @@ class Dataset:
         """Return a copy whose voltages are held from row to row."""
         return self.with_all_runs(updates=1, voltage_errors=None)
 
-    def with_interpolation(self, interpolation: Interpolation) -> Dataset:
-        """Return a copy whose voltages, where they change between the rows, are interpolated in another way."""
-        return self.with_all_runs(interpolation=interpolation)
-
     def with_observers(self, observers: Mapping[str, RunObserver]) -> Dataset:
         """Return a copy in which some runs are predicted with another observer.
 

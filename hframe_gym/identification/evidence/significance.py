@@ -18,7 +18,6 @@ from ..fit.estimation import Fit
 from ..fit.force_sizes import drive_force, effect_force, force_difference, residue_force
 from ..fit.missing_force import follow_runs, sensor_combinations
 from ..fit.model_error import (
-    continue_fit,
     fit_with_model_error,
     has_narrowest_observer,
     leave_one_out_gain,
@@ -33,7 +32,6 @@ from ..judge.effect import (
     Disagreement,
     EffectEvidence,
     Forces,
-    UnknownVoltages,
 )
 from .effect_parameters import parameter_values
 from .effect_variables import depend_on_same_variable
@@ -71,18 +69,6 @@ class TestedFit:
     def cost_beside_voltages(self) -> float:
         """Cost, dimensionless, that is left beside what unknown voltages between the rows may explain."""
         return cost_beside_voltages(self.fitted, self.data)
-
-    @cached_property
-    def interpolation_change(self) -> float:
-        """Largest change of the cost, dimensionless, by another interpolation of the voltages between the rows.
-
-        The machine is fitted again to each. The voltages may change once more or once less a row, on straight lines or
-        on splines.
-        """
-        data, fitted = self.data, self.fitted
-        others = [data.with_updates(n) for n in (data.updates - 1, data.updates + 1) if n > 1]
-        others += [data.with_interpolation("straight"), data.with_interpolation("spline")]
-        return max(abs(continue_fit(fitted, other, fitted.bandwidth).cost - fitted.cost) for other in others)
 
 
 def doubt_about_candidate(
@@ -135,6 +121,9 @@ def effect_evidence(without: Fit, tested: TestedFit, effect: AppliedEffect) -> E
     def narrower() -> Chance:
         return _chance(narrower_observer(without, data), tested.narrower, effect, data)
 
+    def beside_voltages() -> float:
+        return cost_beside_voltages(without, data) - tested.cost_beside_voltages
+
     return EffectEvidence(
         without=without.error,
         with_effect=with_effect.error,
@@ -150,15 +139,7 @@ def effect_evidence(without: Fit, tested: TestedFit, effect: AppliedEffect) -> E
         additions=lambda: _additions(without, with_effect, effect, data),
         parameters=parameter_values(effect.label, with_effect),
         disagreement=_disagreement_of_sensors(without, with_effect, effect, data),
-        voltages=_unknown_voltages(without, tested) if data.updates > 1 else None,
-    )
-
-
-def _unknown_voltages(without: Fit, tested: TestedFit) -> UnknownVoltages:
-    """Return what unknown voltages between the rows may do to the error, without and with an effect."""
-    return UnknownVoltages(
-        gain_beside=lambda: cost_beside_voltages(without, tested.data) - tested.cost_beside_voltages,
-        interpolation=lambda: tested.interpolation_change,
+        beside_voltages=beside_voltages if data.updates > 1 else None,
     )
 
 

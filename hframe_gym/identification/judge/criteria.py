@@ -91,9 +91,6 @@ class SelectionCriteria(SearchEffort):
         rival_gain_fraction: Fraction of the best candidate's gain above which another candidate counts as its rival.
         min_confirmed_fraction: Smallest fraction of an effect's gain that remains if the parameters are fitted to the
             other runs (leave-one-run-out).
-        min_gain_over_interpolation: Smallest gain relative to what another interpolation of the voltages between the
-            rows does to the error, in logs slower than the controller. The true voltages lie between these
-            interpolations, and may do as much again.
         min_force_ratio: Smallest force of an effect relative to the force that remains unexplained beside it.
         min_drive_force_ratio: Smallest force of an effect relative to that of the drives. Amplifiers and numerical
             integration have larger errors.
@@ -124,7 +121,6 @@ class SelectionCriteria(SearchEffort):
     min_gain_fraction: float = 0.1
     rival_gain_fraction: float = 0.97
     min_confirmed_fraction: float = 0.3
-    min_gain_over_interpolation: float = 2.0
     min_force_ratio: float = 1.0
     min_drive_force_ratio: float = 2e-5
     max_form_error: float = 0.2

@@ -133,19 +133,6 @@ class MachineBehavior:
 
 
 @dataclass(frozen=True)
-class UnknownVoltages:
-    """What voltages between the rows of a log, which it does not contain, may do to the error.
-
-    Attributes:
-        gain_beside: Reduction of the cost by the effect beside what these voltages explain with and without it.
-        interpolation: Change of the cost by another interpolation of them.
-    """
-
-    gain_beside: Measured
-    interpolation: Measured
-
-
-@dataclass(frozen=True)
 class EffectEvidence:
     """What the fitted runs say about one effect.
 
@@ -163,7 +150,8 @@ class EffectEvidence:
         drives: Force of the drives, N.
         additions: What the effect adds to each effect of another family that depends on the same variable.
         parameters: Its fitted parameters.
-        voltages: What unknown voltages between the rows may do; None if the voltages are held.
+        beside_voltages: Reduction of the cost beside what unknown voltages between the rows may explain; None if the
+            voltages are held.
         disagreement: Disagreement of the sensors without and with an error of one of them; None if the effect is none
             of a sensor, or no other sensor measures the same motions.
     """
@@ -181,7 +169,7 @@ class EffectEvidence:
     drives: Measured
     additions: Callable[[], Iterable[Addition]]
     parameters: Sequence[ParameterValue] = ()
-    voltages: UnknownVoltages | None = None
+    beside_voltages: Measured | None = None
     disagreement: Callable[[], Disagreement] | None = None
 
     @property
@@ -249,21 +237,15 @@ def _in_the_motion(evidence: EffectEvidence) -> str:
 
 
 def _by_voltages(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
-    """Return the doubt that other voltages between the rows reduce the error nearly as much; "" if they do not.
+    """Return the doubt that other voltages between the rows explain what the effect does; "" if they do not.
 
-    They do not if the effect reduces it beside all that they may explain by clearly more than chance, or if no other
-    interpolation does half as much.
+    Beside all that they may explain, the effect must reduce the error by clearly more than chance.
     """
-    if evidence.voltages is None:
+    if evidence.beside_voltages is None:
         return ""
-    if evidence.voltages.gain_beside() >= CLEAR * chance_gain(evidence.chance().variance, criteria):
+    if evidence.beside_voltages() >= CLEAR * chance_gain(evidence.chance().variance, criteria):
         return ""
-    if evidence.gain > criteria.min_gain_over_interpolation * evidence.voltages.interpolation():
-        return ""
-    return (
-        "reduces the error little more than another interpolation of the voltages between the rows, which are not "
-        "known, does"
-    )
+    return "explains little more than chance may beside the voltages between the rows, which are not known"
 
 
 def _is_confirmed(gain: float, confirmed: float, criteria: SelectionCriteria) -> bool:
@@ -316,7 +298,7 @@ def _too_small(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
     # voltages cause that, also in the true machine, as far as noise and they explain the data.
     if (
         evidence.forceless
-        and evidence.voltages is not None
+        and evidence.beside_voltages is not None
         and nearly_explains(evidence.with_effect, criteria)
     ):
         return ""

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
-from hframe_gym.identification import Fit, prepare
+from hframe_gym.identification import prepare
 from hframe_gym.identification.evidence import significance
 from hframe_gym.identification.evidence.significance import (
     TestedFit,
@@ -21,7 +20,6 @@ from hframe_gym.machine import AppliedEffect
 from hframe_gym.recordings import Recording
 from tests.identification.scripted_fits import (
     CLOCK,
-    COUNT,
     CRITERIA,
     DATA,
     HFRAME,
@@ -56,24 +54,6 @@ def test_no_effect_corrects_a_clock(scripted: Scripted) -> None:
     scripted.force = {CLOCK.label: np.inf}
     both = fit_with(heat, CLOCK, chi2=1.1)
     assert doubt_beside_others(fit_with(CLOCK, chi2=1.3), TestedFit(both, DATA), heat, CRITERIA) == ""
-
-
-def test_the_tests_of_all_effects_of_a_machine_share_its_fits(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Voltages that change twice a row may change once more, on straight lines or on splines."""
-    costs = iter([105.0, 90.0, 103.0])
-    refits: list[object] = []
-
-    def refit(fitted: Fit, data: Any, bandwidth: float) -> Fit:
-        refits.append(data)
-        return fit_with(chi2=next(costs) / COUNT)
-
-    monkeypatch.setattr(significance, "continue_fit", refit)
-    data: Any = SimpleNamespace(
-        updates=2, with_updates=lambda n: n, with_interpolation=lambda between: between
-    )
-    tested = TestedFit(fit_with(chi2=100.0 / COUNT), data)
-    assert [tested.interpolation_change, tested.interpolation_change] == pytest.approx([10.0, 10.0])
-    assert refits == [3, "straight", "spline"]
 
 
 SKEW = EFFECTS["sensor_skew"].at("x_m", a=2e-3)

@@ -41,7 +41,7 @@ def slow_log() -> Dataset:
 def measurements(change: str) -> list[Array]:
     """Return the measurements of all runs if something else acts between the rows than the log says."""
     data = slow_log()
-    other = data.with_interpolation("straight") if change == "straight lines" else data
+    other = data.with_all_runs(interpolation="straight") if change == "straight lines" else data
     found = []
     for run, assumed in zip(other.runs, data.runs, strict=True):
         force = np.zeros((2, len(run.time_s), len(AXIS.coordinates)))

@@ -21,7 +21,6 @@ from hframe_gym.identification.judge.effect import (
     ParameterValue,
     Size,
     TimingEvidence,
-    UnknownVoltages,
 )
 from hframe_gym.identification.judge.error import FitError
 
@@ -55,7 +54,7 @@ def evidence(without: float = 1.4, with_effect: float = 1.2, **known: Any) -> Ef
         drives=lambda: 10.0,
         additions=lambda: (),
     )
-    eager = ("forceless", "parameters", "voltages")
+    eager = ("forceless", "parameters")
     lazy = {n: v if n in eager or callable(v) else (lambda known=v: known) for n, v in known.items()}
     return dataclasses.replace(found, **lazy)
 
@@ -65,15 +64,9 @@ def by_chance(gain: float, ratio: float) -> Chance:
     return Chance(gain, LongRunVariance(ratio))
 
 
-def voltages(beside: float, interpolation: float) -> UnknownVoltages:
-    """Return the gain beside unknown voltages, and the change of the cost by another interpolation."""
-    return UnknownVoltages(lambda: beside, lambda: interpolation)
-
-
 CHANCE = "reduces the error by no more than chance may, since the remaining error is correlated in time"
 BETWEEN_ROWS = (
-    "reduces the error little more than another interpolation of the voltages between the rows, "
-    "which are not known, does"
+    "explains little more than chance may beside the voltages between the rows, which are not known"
 )
 MOTION = "makes the sensors of one motion disagree more: something else is in error than one of them"
 FORM = "adds 19 % to the force of drag@x, which depends on the same variable: the form of that effect may be in error"
@@ -115,9 +108,8 @@ FORM = "adds 19 % to the force of drag@x, which depends on the same variable: th
         # An error of a laser beside a force, and an eccentric encoder beside an eccentric pulley (random rigs).
         ({"disagreement": Disagreement(29_180.0, 29_704.0)}, MOTION),
         ({"disagreement": Disagreement(22_362.0, 21_912.0)}, ""),
-        ({"voltages": voltages(49.0, 1e9)}, ""),  # twice what chance reaches
-        ({"voltages": voltages(47.0, 1010.0)}, BETWEEN_ROWS),
-        ({"voltages": voltages(47.0, 990.0)}, ""),
+        ({"beside_voltages": 49.0}, ""),  # twice what chance reaches
+        ({"beside_voltages": 47.0}, BETWEEN_ROWS),
         ({"forces": Forces(0.202, 0.2)}, ""),
         (
             {"forces": Forces(0.198, 0.2), "forces_accurate": Forces(0.198, 0.1)},
@@ -139,11 +131,11 @@ FORM = "adds 19 % to the force of drag@x, which depends on the same variable: th
             "explains a force of 0.1 N, where 0.3 N remain unexplained",
         ),
         (
-            {"forces": Forces(0.1, 0.3), "forceless": True, "voltages": voltages(2000.0, 0.0)},
+            {"forces": Forces(0.1, 0.3), "forceless": True, "beside_voltages": 2000.0},
             "",
         ),  # unknown voltages cause the rest
         (
-            {"forces": Forces(0.1, 0.3), "voltages": voltages(2000.0, 0.0)},
+            {"forces": Forces(0.1, 0.3), "beside_voltages": 2000.0},
             "has a force of 0.1 N, where 0.3 N remain unexplained",
         ),
         ({"additions": [Addition("drag@x", 0.21)]}, ""),
