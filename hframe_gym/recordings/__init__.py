@@ -37,10 +37,7 @@ from .logs import (
 )
 from .machine_file import (
     TABLES,
-    TEMPLATES,
-    MachineOptions,
     Table,
-    TemplateQuestion,
     field_descriptions,
     field_units,
     fields,
@@ -48,10 +45,7 @@ from .machine_file import (
     load_machine,
     machine_json_schema,
     machine_to_dict,
-    new_machine,
     save_machine,
-    template_questions,
-    write_machine_template,
 )
 from .outliers import outlier_mask, without_outliers
 from .quantities import split_unit
@@ -66,6 +60,14 @@ from .recording import (
     write_trajectory,
 )
 from .tables.table_file import read_path, recording_files
+from .templates import (
+    TEMPLATES,
+    MachineOptions,
+    TemplateQuestion,
+    new_machine,
+    template_questions,
+    write_machine_template,
+)
 from .wrapping import Wrap, find_wrap, known_moduli, unwrapped, without_wraps, wraps_of
 
 __all__ = [

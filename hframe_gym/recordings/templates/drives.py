@@ -1,0 +1,126 @@
+"""Drives of a new machine: values of the motors, and what is commanded."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from ...arrays import Array
+from ...errors import InputError, suggestion
+from ...machine import DRIVE_KINDS, Drive, Machine, rest_positions_per_axis
+from .options import MachineOptions
+
+# Beginning of the columns of commands, by the kinds of drives that a DC motor may have; they end in the unit.
+COMMANDS = {
+    "voltage": "v",
+    "duty-cycle": "duty",
+    "current": "i",
+    "torque": "torque",
+    "position": "command",
+    "speed": "command",
+}
+# Loop of a drive that follows a set point. Its speed follows with 100 1/s (16 Hz), below the belt modes of small
+# stages; the other corner frequencies are a quarter and a fifth of it, as is usual (Ellis 2012, Control System
+# Design Guide).
+_SPEED_BANDWIDTH, _INTEGRAL_RATE, _POSITION_GAIN = 100.0, 25.0, 20.0  # 1/s
+# What a DC motor has at rest at its rated voltage: A, Nm.
+_AT_REST: dict[str, Callable[[Drive], float]] = {
+    "current": lambda drive: drive.rated_voltage / drive.resistance,
+    "torque": lambda drive: drive.Kt * drive.rated_voltage / drive.resistance,
+}
+
+
+def with_motor_values(machine: Machine, drive: Drive, options: MachineOptions) -> Drive:
+    """Return a drive with the values of the options."""
+    new: dict[str, float] = {}
+    if options.Kt is not None:
+        new |= {"Kt": options.Kt, "Ke": options.Kt}
+    given = {
+        "resistance": options.resistance,
+        "rated_voltage": options.rated_voltage,
+        "gear_ratio": options.gear_ratio,
+    }
+    new |= {key: value for key, value in given.items() if value is not None}
+    radius = options.pulley_radius
+    if options.travel_per_turn is not None:
+        radius = options.travel_per_turn / (2.0 * math.pi)
+    if radius is not None and machine.coordinate(drive.coordinate).kind == "linear":
+        new["gear_ratio"] = (options.gear_ratio or 1.0) / radius
+    return dataclasses.replace(drive, **new)  # type: ignore[arg-type]
+
+
+def shaft_inertias(machine: Machine) -> Array:
+    """Return the moment of inertia that each motor shaft moves while the other drives hold, kg m^2, shape (drives,)."""
+    per_axis = rest_positions_per_axis(machine)  # (coordinates, axes)
+    of_drives = per_axis[[machine.coordinate_names.index(d.coordinate) for d in machine.drives]]
+    axes = np.linalg.inv(of_drives)  # travel of each axis per position of each drive
+    masses = np.array([c.mass for c in machine.coordinates])
+    along_drives = per_axis @ axes
+    ratios = np.array([d.gear_ratio for d in machine.drives])
+    return np.asarray(masses @ along_drives**2 / ratios**2)
+
+
+def commanded(machine: Machine, drive: Drive, kind: str | None, inertia: float) -> Drive:
+    """Return a drive of another kind, whose column and largest command or torque are those of the same motor.
+
+    `inertia` is what its shaft moves, kg m^2.
+    """
+    if kind is None or kind == drive.kind:
+        return drive
+    if kind not in COMMANDS:
+        raise InputError(
+            f"--drive {kind}: choose one of {', '.join(COMMANDS)}{suggestion(kind, COMMANDS)}; docs/machine.md "
+            "describes all kinds"
+        )
+    of_kind = DRIVE_KINDS.get(kind)
+    unit = "" if of_kind.fraction else of_kind.unit(machine.coordinate(drive.coordinate).kind)
+    channel = f"{COMMANDS[kind]}{drive.name.removeprefix('motor')}{'_' * bool(unit)}{unit.replace('/', '_')}"
+    if of_kind.law is not None:
+        return _set_point_drive(drive, kind, channel, inertia)
+    drive = dataclasses.replace(drive, kind=kind, channel=channel)
+    if kind not in _AT_REST:
+        return drive
+    largest = float(f"{_AT_REST[kind](drive):.4g}")
+    fixed: dict[str, Any] = {**of_kind.fixed, **({"Kt": 1.0} if kind == "torque" else {})}
+    return dataclasses.replace(drive, rated_voltage=largest, voltage_range=None, **fixed)
+
+
+def _set_point_drive(drive: Drive, kind: str, channel: str, inertia: float) -> Drive:
+    """Return a drive whose loop makes the same motor follow positions or speeds; `inertia` at its shaft in kg m^2."""
+    values = {
+        "speed_gain": _SPEED_BANDWIDTH * inertia,
+        "integral_rate": _INTEGRAL_RATE,
+        "torque_limit": _AT_REST["torque"](drive),
+    }
+    without_load = float(f"{drive.rated_voltage / drive.emf_constant:.4g}")  # m/s or rad/s
+    if kind == "position":
+        values |= {"position_gain": _POSITION_GAIN, "speed_limit": without_load}
+    fixed: dict[str, Any] = dict(DRIVE_KINDS.get(kind).fixed)
+    return dataclasses.replace(
+        drive,
+        kind=kind,
+        channel=channel,
+        rated_voltage=without_load,
+        voltage_range=None,
+        law_parameters={name: float(f"{value:.4g}") for name, value in values.items()},
+        **fixed,
+    )
+
+
+def reaching(machine: Machine, drive: Drive) -> Drive:
+    """Return a drive whose largest commanded position is that in the farthest corner of the workspace.
+
+    That of a pulley is rounded up to whole rad. Other drives are returned as they are.
+    """
+    if drive.command != "position":
+        return drive
+    per_axis = rest_positions_per_axis(machine)[machine.coordinate_names.index(drive.coordinate)]
+    corner = [max(map(abs, limits)) if limits else 0.0 for limits in machine.axis_ranges]
+    largest = float(abs(per_axis) @ corner)
+    if drive.coordinate not in machine.tool_axes:
+        largest = math.ceil(largest)
+    return dataclasses.replace(drive, rated_voltage=float(largest))
