@@ -18,20 +18,25 @@ from .metrics import (
 from .minari_export import ExportedDataset, RandomActions, dataset_controller, export_dataset
 from .package_versions import installed_versions, result_versions
 from .plots import plot_episode, save_plot
-from .protocol_entries import Entry, make_entry, run_protocol
-from .protocol_results import (
+from .protocols import (
+    FIXED_OPTIONS,
+    PROTOCOLS,
     Comparison,
+    Entry,
+    Protocol,
     ResultFile,
     checksum,
     compare_draws,
     fill_unsettled,
+    get_protocol,
+    make_entry,
     paired_ratio,
     protocol_bounds,
     read_result,
     result_content,
+    run_protocol,
     write_result,
 )
-from .protocols import FIXED_OPTIONS, PROTOCOLS, Protocol, get_protocol
 from .reported_scores import (
     PATH_ERRORS,
     ratio_to_bounds,

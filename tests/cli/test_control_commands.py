@@ -67,7 +67,7 @@ def test_evaluate_by_protocol_writes_a_result_file_per_controller(
     short = dataclasses.replace(short, digest=short.compute_digest())
     monkeypatch.setitem(PROTOCOLS, "reach-v1", short)
     bounds = {"free": np.full(2, 0.1), "held": np.full(2, np.nan)}  # the stored ones are of other draws
-    for module in ("hframe_gym.evaluation", "hframe_gym.evaluation.protocol_results"):
+    for module in ("hframe_gym.evaluation", "hframe_gym.evaluation.protocols.result_file"):
         monkeypatch.setattr(f"{module}.protocol_bounds", lambda name: bounds)
     code, out, _ = hframe_command(
         "evaluate", "pid", "textbook-pid", "--protocol", "reach-v1", "--out", tmp_path

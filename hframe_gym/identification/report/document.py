@@ -16,7 +16,7 @@ SCHEMA: Final = 1
 STAGES = ("declared", "before", "after")  # keys of the three machines in report.json
 
 
-class Entry(BaseModel):
+class ReportPart(BaseModel):
     """Part of report.json; unknown fields, of later versions, are ignored."""
 
     model_config = ConfigDict(extra="ignore", strict=True)
@@ -26,21 +26,21 @@ class Entry(BaseModel):
         return self.model_dump(by_alias=True, exclude_unset=True)
 
 
-class Runs(Entry):
+class Runs(ReportPart):
     """Names of the runs."""
 
     fitted: list[str]
     held_out: list[str] = Field(min_length=1)
 
 
-class UnfinishedSearch(Entry):
+class UnfinishedSearch(ReportPart):
     """What a search did when it ended before it was complete, and why it ended."""
 
     stage: str
     reason: str
 
 
-class UnknownVoltages(Entry):
+class UnknownVoltages(ReportPart):
     """Voltages between the rows of a log that is slower than its controller, and what they do to a simulation.
 
     Attributes:
@@ -60,7 +60,7 @@ class UnknownVoltages(Entry):
     fitted_by: Literal["instruments", "white residual"]
 
 
-class ChannelErrors(Entry):
+class ChannelErrors(ReportPart):
     """Simulation error of one channel, in its unit, relative to the noise, and in percent of the motion."""
 
     rmse: FiniteFloat | None
@@ -68,14 +68,14 @@ class ChannelErrors(Entry):
     percent_of_motion: FiniteFloat | None = None
 
 
-class Force(Entry):
+class Force(ReportPart):
     """A force in N, or a torque in Nm on a rotary axis."""
 
     value: FiniteFloat
     unit: str
 
 
-class Evaluation(Entry):
+class Evaluation(ReportPart):
     """Errors of a machine on the held-out runs: by channel, and `force_error` where the machine has one.
 
     Attributes:
@@ -119,7 +119,7 @@ class Plain(Evaluation):
     delivered: bool = False
 
 
-class ParameterValue(Entry):
+class ParameterValue(ReportPart):
     """Value and standard deviation of an effect's parameter, in its unit."""
 
     value: FiniteFloat
@@ -127,7 +127,7 @@ class ParameterValue(Entry):
     unit: str
 
 
-class Effect(Entry):
+class Effect(ReportPart):
     """A selected effect.
 
     Attributes:
@@ -145,7 +145,7 @@ class Effect(Entry):
     rivals: list[str]
 
 
-class Dependence(Entry):
+class Dependence(ReportPart):
     """A variable on which the residual force of a component depends, and the fraction that it explains."""
 
     variable: str
@@ -154,7 +154,7 @@ class Dependence(Entry):
     share: FiniteFloat
 
 
-class Residual(Entry):
+class Residual(ReportPart):
     """What the residual depends on, strongest first, whether it is noise, and the sensors that deviate alone."""
 
     depends_on: list[Dependence]
@@ -162,7 +162,7 @@ class Residual(Entry):
     sensors: list[str] = []
 
 
-class Hint(Entry):
+class Hint(ReportPart):
     """What the force that a machine lacks depends on, where no effect of the library is named.
 
     Attributes:
@@ -178,7 +178,7 @@ class Hint(Entry):
     nearest: list[str]
 
 
-class Considered(Entry):
+class Considered(ReportPart):
     """An effect that was tried and rejected, with the reason, a clause that follows "it "."""
 
     name: str
@@ -189,7 +189,7 @@ class Considered(Entry):
     reason: str
 
 
-class DeterminedSum(Entry):
+class DeterminedSum(ReportPart):
     """Weighted sum of parameters that the data determine, in the unit of its first parameter, whose weight is 1."""
 
     weights: dict[str, FiniteFloat]
@@ -197,14 +197,14 @@ class DeterminedSum(Entry):
     std: FiniteFloat
 
 
-class NotSeparable(Entry):
+class NotSeparable(ReportPart):
     """Parameters that the data do not separate, and the sums that they determine."""
 
     parameters: list[str]
     determined: list[DeterminedSum]
 
 
-class UndeclaredFriction(Entry):
+class UndeclaredFriction(ReportPart):
     """Friction that the machine file does not declare; its share of the drives' force if it is dry friction."""
 
     parameter: str
@@ -214,7 +214,7 @@ class UndeclaredFriction(Entry):
     percent_of_drives: FiniteFloat | None
 
 
-class Experiment(Entry):
+class Experiment(ReportPart):
     """The proposed run: the effects that it separates, the file with its commands, and its purpose."""
 
     separates: list[str] = []
@@ -222,7 +222,7 @@ class Experiment(Entry):
     why: str
 
 
-class Formula(Entry):
+class Formula(ReportPart):
     """A formula that may replace a table.
 
     Attributes:
@@ -248,7 +248,7 @@ class Formula(Entry):
     recommended: bool
 
 
-class TableOfFormulas(Entry):
+class TableOfFormulas(ReportPart):
     """A table, its errors as those of a formula, and the formulas proposed for it."""
 
     table: str
@@ -258,7 +258,7 @@ class TableOfFormulas(Entry):
     formulas: list[Formula]
 
 
-class File(Entry):
+class File(ReportPart):
     """A file of recordings."""
 
     name: str
@@ -266,7 +266,7 @@ class File(Entry):
     sha256: str
 
 
-class Made(Entry):
+class Made(ReportPart):
     """Where a result comes from: package and version, time in UTC by ISO 8601, and the recordings."""
 
     software: str
@@ -275,7 +275,7 @@ class Made(Entry):
     files: list[File] = []
 
 
-class Report(Entry):
+class Report(ReportPart):
     """Content of report.json.
 
     Attributes:

@@ -11,8 +11,7 @@ written, and the benchmark needs a new version (`reach-v2`), never a new digest.
     hard-v1     moves, circle and square with the sensors and drives of a rig, randomization "wide", and effects that no
                 controller's model declares (see `undeclared_effects`)
 
-`protocol_entries` runs controllers and agents through a protocol; `protocol_results` writes and reads the files with
-the scores.
+`entries` runs controllers and agents through a protocol; `result_file` writes and reads the files with the scores.
 """
 
 from __future__ import annotations
@@ -27,16 +26,16 @@ from typing import Any
 
 import numpy as np
 
-from ..arrays import Array
-from ..envs import RANDOMIZATION_PRESETS, Reach, Task, Track, as_machine
-from ..envs.actuators import ACTUATOR_PRESETS
-from ..errors import InputError, suggestion
-from ..machine import Machine
-from ..recordings.machine_file import machine_to_dict
-from .episodes import Episodes
-from .metrics import BANDS, condition_digests, settling_times
-from .scenario import Scenario, episode_conditions
-from .undeclared_effects import effect_rules, with_absent_effects
+from ...arrays import Array
+from ...envs import RANDOMIZATION_PRESETS, Reach, Task, Track, as_machine
+from ...envs.actuators import ACTUATOR_PRESETS
+from ...errors import InputError, suggestion
+from ...machine import Machine
+from ...recordings.machine_file import machine_to_dict
+from ..episodes import Episodes
+from ..metrics import BANDS, condition_digests, settling_times
+from ..scenario import Scenario, episode_conditions
+from ..undeclared_effects import effect_rules, with_absent_effects
 
 Draws = dict[str, list[float | None]]
 DECIMALS = 6  # of the values in results, s and mm: hides differences between processors, far below any effect

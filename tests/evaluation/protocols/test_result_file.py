@@ -26,8 +26,8 @@ from hframe_gym.evaluation import (
     run_protocol,
     write_result,
 )
-from hframe_gym.evaluation.protocol_results import part_scores
-from tests.evaluation.small_protocols import small
+from hframe_gym.evaluation.protocols import part_scores
+from tests.evaluation.protocols.small_protocols import small
 from tools.tables.leaderboard import leaderboard_page, protocol_section, rerun
 from tools.tables.leaderboard import results as stored_results
 
@@ -62,7 +62,7 @@ ERRORS: list[float | None] = [0.01, 0.02, 3.0, 0.01]  # mm, of draws of which th
 @pytest.fixture
 def content(short: Protocol, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     """Return the content of a valid result file of the short protocol."""
-    for module in ("hframe_gym.evaluation.protocol_results", "tools.tables.leaderboard"):
+    for module in ("hframe_gym.evaluation.protocols.result_file", "tools.tables.leaderboard"):
         # The stored ones are of other draws.
         monkeypatch.setattr(f"{module}.protocol_bounds", lambda name: {})
     times: list[float | None] = [0.1, 0.2, None, 0.3]
@@ -207,7 +207,7 @@ def test_a_repeated_run_may_differ_by_rounding_only(
 
 def test_edited_draws_do_not_look_like_rounding(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Rounding moves settling times both ways, edits one way: 20 of 512 draws that settle 60 ms earlier."""
-    monkeypatch.setattr("hframe_gym.evaluation.protocol_results.protocol_bounds", lambda name: {})
+    monkeypatch.setattr("hframe_gym.evaluation.protocols.result_file.protocol_bounds", lambda name: {})
     rng, protocol = np.random.default_rng(0), PROTOCOLS["reach-v1"]
     times = np.round(rng.uniform(0.2, 0.4, 512), 3)
     moved = np.zeros(512)

@@ -13,14 +13,14 @@ from pathlib import Path
 from types import FunctionType, ModuleType
 from typing import Any, NamedTuple
 
-from ..controllers import CONTROLLERS, Controller, OutputFeedbackController, StateEstimator
-from ..envs import observed_machine
-from ..machine import Machine
-from ..registry import load_plugins
-from .controller_creation import CONTROLLER_SOURCES, make_controller
-from .protocols import Draws, Protocol, draw_values
-from .runner import rollout
-from .timed_controller import TimedController
+from ...controllers import CONTROLLERS, Controller, OutputFeedbackController, StateEstimator
+from ...envs import observed_machine
+from ...machine import Machine
+from ...registry import load_plugins
+from ..controller_creation import CONTROLLER_SOURCES, make_controller
+from ..runner import rollout
+from ..timed_controller import TimedController
+from .protocol import Draws, Protocol, draw_values
 
 
 class Entry(NamedTuple):

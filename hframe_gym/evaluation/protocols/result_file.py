@@ -1,4 +1,4 @@
-"""Result files of protocols: write, read and validate them, and compare entries draw by draw.
+"""Result files of protocols: write, read and validate them.
 
 A protocol is a fixed benchmark; its parts are tasks that are scored separately; its draws are the episodes (start, goal
 and machine parameters) that all entries, that is, controllers or agents, face. A result file names the protocol and its
@@ -14,34 +14,24 @@ import hashlib
 import json
 import math
 from collections.abc import Mapping
-from functools import cache
-from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from ..arrays import Array
-from ..errors import InputError
-from ..files import write_text
-from .metrics import BANDS, BOUND_BAND, ratio_of_means, stored_bounds
-from .package_versions import result_versions
-from .protocol_entries import Entry
-from .protocols import Draws, Protocol, get_protocol
-from .runner import SAMPLES_PER_PERIOD
+from ...errors import InputError
+from ...files import write_text
+from ..metrics import BANDS, BOUND_BAND
+from ..package_versions import result_versions
+from ..runner import SAMPLES_PER_PERIOD
+from .entries import Entry
+from .protocol import Draws, Protocol, get_protocol
+from .scores import DIGITS, part_scores, protocol_bounds
 
 SCHEMA = 2
-BOOTSTRAP_SEED = 0
-BOUNDS_FOLDER = "bound_times_data"
-DIGITS = 9  # decimals of scores, s and mm
 ROUNDING = 1e-6  # s and mm, of the values of draws, which have 6 decimals
 GRID_TOLERANCE = 1e-2  # of a sample
-# Differences of a run that is repeated elsewhere: two samples of 1 ms, and 1 um and 1 % of an error in mm.
-REPEATED_S, REPEATED_MM, REPEATED_FRACTION = 2.1e-3, 1e-3, 1e-2
-# Fraction of draws that may differ by more; standard deviations of a sum of differences with random signs; fraction of
-# a mean, for differences below the tolerances.
-REPEATED_DRAWS, REPEATED_SIGMAS, REPEATED_MEAN = 0.12, 2.0, 0.002
 TOLERANCE = 1e-6  # relative, of scores that are computed again when a file is read
 
 
@@ -52,6 +42,8 @@ class _Strict(BaseModel):
 
 
 _Text = Annotated[str, Field(max_length=120, pattern=r"^[^|<>`\n]*$")]
+
+
 _Cost = Annotated[float, Field(ge=0.0)] | None
 
 
@@ -124,39 +116,6 @@ def checksum(content: Mapping[str, Any]) -> str:
     """
     covered = {key: content[key] for key in ("protocol", "digest", "entry", "versions", "draws")}
     return hashlib.sha256(json.dumps(covered, sort_keys=True).encode()).hexdigest()
-
-
-def part_scores(values: Draws, duration_s: float) -> dict[str, Any]:
-    """Compute the scores of one part of a protocol (a task) from the metrics of its single draws (episodes).
-
-    Args:
-        values: Values of the B draws by metric, e.g. `final_error_mm`, mm, or `settling_s.1mm`, s, None if not settled.
-        duration_s: Length of an episode, s, which counts as the settling time of a draw that does not settle.
-
-    Returns:
-        By metric `mean`, `ci95` (95 % interval of the mean, bootstrap over the draws) and `median`, in the unit of the
-        metric; for a settling time also `success`, the fraction of draws that settle, 0 to 1.
-    """
-    scores: dict[str, Any] = {}
-    for metric, column in values.items():
-        numbers = fill_unsettled(column, duration_s)
-        mean = ratio_of_means(numbers, np.ones(len(numbers)), BOOTSTRAP_SEED)
-        limits = [round(limit, DIGITS) for limit in mean["ci95"]]
-        scores[metric] = {"mean": round(mean["mean"], DIGITS), "ci95": limits}
-        scores[metric]["median"] = round(float(np.median(numbers)), DIGITS)
-        if metric.startswith("settling_s."):
-            scores[metric]["success"] = float(np.mean([value is not None for value in column]))
-    return scores
-
-
-def fill_unsettled(column: list[float | None], duration_s: float) -> Array:
-    """Return a metric's values as an array, shape (B,), with the length of an episode for draws that do not settle.
-
-    Args:
-        column: B settling times, s, None for a draw that does not settle; values of another metric are not changed.
-        duration_s: Length of an episode, s.
-    """
-    return np.array([duration_s if value is None else value for value in column], np.float64)
 
 
 def result_file_name(content: Mapping[str, Any]) -> str:
@@ -291,57 +250,6 @@ def _check_possible(path: Path, part: str, values: Draws, protocol: Protocol) ->
                     refuse(int(draw), f"settling_s.{band} = {reason}")
 
 
-class Comparison(NamedTuple):
-    """How the values of a run that was repeated differ from those of a file.
-
-    Attributes:
-        values: Number of values that were compared.
-        equal: Number of those that are equal.
-        worst: Description of the largest difference; empty if all are equal.
-        reproduced: Whether all differences are within what other processors and package versions explain.
-    """
-
-    values: int
-    equal: int
-    worst: str
-    reproduced: bool
-
-
-def compare_draws(result: ResultFile, draws: Mapping[str, Draws]) -> Comparison:
-    """Compare the draws of a result file with those of a run that was repeated.
-
-    Sums are rounded differently on other processors. Friction, estimators and plans amplify this, and a draw that ends
-    near the edge of a band may be in it here and outside there. Repeated on another processor, `apg_plan` differed by
-    more than the tolerances in 2 of 512 draws of reach-v1, and `adaptive-pid` in 53 of 512 of hard-v1; such differences
-    go both ways, and means moved by 0.8 % at most. A file is therefore reproduced if the values of few draws differ by
-    more than the tolerances, and if the differences of a metric add up to no more than those of random signs do. Draws
-    that were edited improve, all of them: more than a handful are found.
-    """
-    protocol = get_protocol(result.protocol)
-    count = equal = 0
-    largest, worst, reproduced = 0.0, "", True
-    for part, columns in draws.items():
-        for metric, column in columns.items():
-            given = result.draws[part][metric]
-            before, after = (fill_unsettled(values, protocol.duration_s) for values in (given, column))
-            if metric.startswith("settling_s."):
-                allowed = np.full(len(before), REPEATED_S)
-            else:
-                allowed = REPEATED_MM + REPEATED_FRACTION * np.maximum(before, after)
-            sizes = np.abs(after - before) / allowed
-            count += len(given)
-            equal += sum(old == new for old, new in zip(given, column, strict=True))
-            differences = after - before
-            expected = REPEATED_SIGMAS * np.sqrt(np.sum(differences**2)) + REPEATED_MEAN * before.sum()
-            reproduced &= int((sizes > 1.0).sum()) <= int(REPEATED_DRAWS * len(given))
-            reproduced &= abs(differences.sum()) <= expected
-            draw = int(sizes.argmax())
-            if sizes[draw] > largest:
-                largest = float(sizes[draw])
-                worst = f"{part}, draw {draw}, {metric}: {given[draw]} in the file, {column[draw]} now"
-    return Comparison(count, int(equal), worst, bool(reproduced))
-
-
 def _close(given: Any, computed: Any) -> bool:
     """Return whether nested scores are equal within `TOLERANCE`."""
     if isinstance(computed, Mapping):
@@ -355,57 +263,3 @@ def _close(given: Any, computed: Any) -> bool:
     return isinstance(given, int | float) and math.isclose(
         given, computed, rel_tol=TOLERANCE, abs_tol=10.0**-DIGITS
     )
-
-
-@cache
-def protocol_bounds(name: str) -> dict[str, Array]:
-    """Load the shortest possible settling times of the moves to a fixed goal in a protocol (part "reach").
-
-    They are times to settle within 0.2 mm; `benchmarks.protocol_bounds` computes them.
-
-    Returns:
-        Times of two kinds, s, shape (draws,), NaN where unknown: `free`, for voltages that may change at any time, and
-        `held`, for voltages that are constant over each control period. Empty for a protocol without such moves.
-
-    Raises:
-        InputError: If there is no such protocol.
-        ValueError: If the stored times belong to other draws (episodes) than the protocol has.
-    """
-    protocol = get_protocol(name)
-    if "reach" not in protocol.parts:
-        return {}
-    bounds = {"free": np.full(protocol.draws, np.nan), "held": np.full(protocol.draws, np.nan)}
-    known = stored_bounds(protocol.scenario("reach")).times_s
-    if known is not None:
-        bounds["free"] = known
-    file = resources.files("hframe_gym.evaluation") / BOUNDS_FOLDER / f"{name}.json"
-    if not file.is_file():
-        return bounds
-    content = json.loads(file.read_text("utf-8"))
-    if content["digest"] != protocol.digest:
-        raise ValueError(f"{file}: the bounds belong to other draws of {name}")
-    for row in content["draws"]:
-        for kind in bounds:
-            if row.get(f"{kind}_s") is not None:
-                bounds[kind][row["draw"]] = row[f"{kind}_s"]
-    return bounds
-
-
-def paired_ratio(values: Array, others: Array) -> dict[str, Any] | None:
-    """Compute the ratio of the means of two quantities over the same draws (episodes), for example time / bound.
-
-    Args:
-        values: Values of the numerator in B draws, all known, shape (B,); for S agents that differ in the seed of their
-            training, shape (S, B).
-        others: Values of the denominator in the same draws, for example shortest possible times, in the same unit,
-            shape (B,), NaN where unknown.
-
-    Returns:
-        `mean`: mean of `values` divided by mean of `others`, over the draws in which `others` is known; `ci95`: [lower,
-        upper limit] of its 95 % confidence interval, by a bootstrap over draws and agents; `draws`: number of draws in
-        which `others` is known. None if it is known in none.
-    """
-    both = np.isfinite(others)
-    if not both.any():
-        return None
-    return ratio_of_means(values[..., both], others[both], BOOTSTRAP_SEED) | {"draws": int(both.sum())}

@@ -22,7 +22,7 @@ from hframe_gym.evaluation import (
 )
 from hframe_gym.evaluation.undeclared_effects import EXPECTED_EFFECTS, SMALLEST_SIZE, Sometimes
 from hframe_gym.machine import BUILTIN_MACHINES
-from tests.evaluation.small_protocols import small
+from tests.evaluation.protocols.small_protocols import small
 
 pytestmark = pytest.mark.integration
 

@@ -18,7 +18,7 @@ from hframe_gym.evaluation import (
     make_entry,
     run_protocol,
 )
-from tests.evaluation.small_protocols import small
+from tests.evaluation.protocols.small_protocols import small
 
 pytestmark = pytest.mark.integration
 

@@ -1,0 +1,69 @@
+"""A run that was repeated, compared with a result file draw by draw."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from .protocol import Draws, get_protocol
+from .result_file import ResultFile
+from .scores import fill_unsettled
+
+# Differences of a run that is repeated elsewhere: two samples of 1 ms, and 1 um and 1 % of an error in mm.
+REPEATED_S, REPEATED_MM, REPEATED_FRACTION = 2.1e-3, 1e-3, 1e-2
+# Fraction of draws that may differ by more; standard deviations of a sum of differences with random signs; fraction of
+# a mean, for differences below the tolerances.
+REPEATED_DRAWS, REPEATED_SIGMAS, REPEATED_MEAN = 0.12, 2.0, 0.002
+
+
+class Comparison(NamedTuple):
+    """How the values of a run that was repeated differ from those of a file.
+
+    Attributes:
+        values: Number of values that were compared.
+        equal: Number of those that are equal.
+        worst: Description of the largest difference; empty if all are equal.
+        reproduced: Whether all differences are within what other processors and package versions explain.
+    """
+
+    values: int
+    equal: int
+    worst: str
+    reproduced: bool
+
+
+def compare_draws(result: ResultFile, draws: Mapping[str, Draws]) -> Comparison:
+    """Compare the draws of a result file with those of a run that was repeated.
+
+    Sums are rounded differently on other processors. Friction, estimators and plans amplify this, and a draw that ends
+    near the edge of a band may be in it here and outside there. Repeated on another processor, `apg_plan` differed by
+    more than the tolerances in 2 of 512 draws of reach-v1, and `adaptive-pid` in 53 of 512 of hard-v1; such differences
+    go both ways, and means moved by 0.8 % at most. A file is therefore reproduced if the values of few draws differ by
+    more than the tolerances, and if the differences of a metric add up to no more than those of random signs do. Draws
+    that were edited improve, all of them: more than a handful are found.
+    """
+    protocol = get_protocol(result.protocol)
+    count = equal = 0
+    largest, worst, reproduced = 0.0, "", True
+    for part, columns in draws.items():
+        for metric, column in columns.items():
+            given = result.draws[part][metric]
+            before, after = (fill_unsettled(values, protocol.duration_s) for values in (given, column))
+            if metric.startswith("settling_s."):
+                allowed = np.full(len(before), REPEATED_S)
+            else:
+                allowed = REPEATED_MM + REPEATED_FRACTION * np.maximum(before, after)
+            sizes = np.abs(after - before) / allowed
+            count += len(given)
+            equal += sum(old == new for old, new in zip(given, column, strict=True))
+            differences = after - before
+            expected = REPEATED_SIGMAS * np.sqrt(np.sum(differences**2)) + REPEATED_MEAN * before.sum()
+            reproduced &= int((sizes > 1.0).sum()) <= int(REPEATED_DRAWS * len(given))
+            reproduced &= abs(differences.sum()) <= expected
+            draw = int(sizes.argmax())
+            if sizes[draw] > largest:
+                largest = float(sizes[draw])
+                worst = f"{part}, draw {draw}, {metric}: {given[draw]} in the file, {column[draw]} now"
+    return Comparison(count, int(equal), worst, bool(reproduced))
