@@ -100,6 +100,8 @@ class ModelSearch:
         # Fits, the runs before, and the runs with the starts and zeros that follow from the fit, which take long too.
         self._data_of_fits: list[tuple[Fit, Dataset, Dataset]] = []
         self._searches: list[EffectSearch] = []  # one after the other
+        # What passed the tests of effects beside each other, once these have ended.
+        self._passed: Found | None = None
         # With the widest observer bandwidth first: it tolerates a model that is still wrong.
         self.base = refitted or fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
         log(f"refitted machine: {self.base.summary}")
@@ -132,7 +134,8 @@ class ModelSearch:
         """
         if start is not None:
             self._log("searching for further effects")
-        found = self._within_limits(self._known_effects(start))
+        self._passed = None
+        found = self._passed = self._known_effects(start)
         if tabled := self._in_place_of_curves(found):
             return self._outcome("effect_found", tabled)
         if decided := self._decided(found):
@@ -190,13 +193,13 @@ class ModelSearch:
         after, effects = (search and search.reached) or (self.before, ())
         untested: tuple[ConsideredEffect, ...] = ()
         if search and effects:
-            for s in effects:
-                search.considered.pop(s.effect.label, None)
             try:
                 with tests.limiting():
-                    confirmed = search.prune(polish(after, search.data), effects)
-                    self._data_after = search.data
-                    found = self._within_limits(Found(*confirmed, tuple(search.considered.values())))
+                    if (found := self._passed) is None:
+                        for s in effects:
+                            search.considered.pop(s.effect.label, None)
+                        self._data_after = search.data
+                        found = self._tested(search, after, effects)
                     return found, self._verdict(found)
             except BudgetEndedError:
                 others = tuple(s for s in effects if s.effect.label not in search.considered)
@@ -388,21 +391,25 @@ class ModelSearch:
             self._data_after = search.data
         if not effects and start is None and self._explains(current):
             self.before, self._data = current, search.data
-        if effects:
-            data = search.data
-            search.reached = current, effects
-            spend("comparing rivals")
-            effects = search.with_indistinguishable(current, effects)
-            current, effects = search.settle_rivals(current, effects)
-            search.reached = current, effects
-            spend("testing each effect beside the others")
-            current, effects = search.prune(polish(current, data), effects)
-            simulated = self._refined(current)
-            # Without the error that an observer causes, unless the simulation leaves more than the observer corrects.
-            accurate = self._explains(simulated) or not self._explains(current)
-            if simulated.bandwidth == SIMULATION != current.bandwidth and accurate:
-                current, effects = search.prune(simulated, effects)
-        return Found(current, effects, tuple(search.considered.values()))
+        if not effects:
+            return Found(current, (), tuple(search.considered.values()))
+        search.reached = current, effects
+        spend("comparing rivals")
+        effects = search.with_indistinguishable(current, effects)
+        current, effects = search.settle_rivals(current, effects)
+        search.reached = current, effects
+        spend("testing each effect beside the others")
+        return self._tested(search, current, effects)
+
+    def _tested(self, search: EffectSearch, current: Fit, effects: tuple[SelectedEffect, ...]) -> Found:
+        """Return those effects of a search that pass the tests beside each other, also in simulation."""
+        current, effects = search.prune(polish(current, search.data), effects)
+        simulated = self._refined(current)
+        # Without the error that an observer causes, unless the simulation leaves more than the observer corrects.
+        accurate = self._explains(simulated) or not self._explains(current)
+        if simulated.bandwidth == SIMULATION != current.bandwidth and accurate:
+            current, effects = search.prune(simulated, effects)
+        return self._within_limits(Found(current, effects, tuple(search.considered.values())), search)
 
     def _with_tables(self, found: Found) -> Found | None:
         """Return a model with tables, alone or beside the selected effects, if it explains the residual."""

@@ -12,6 +12,7 @@ import pytest
 from hframe_gym.effects import EFFECTS
 from hframe_gym.effects.smooth_table import KNOTS, definition
 from hframe_gym.identification import Fit, SelectedEffect, SelectionCriteria
+from hframe_gym.identification.budget import BudgetEndedError
 from hframe_gym.identification.search import model_search
 from hframe_gym.identification.search import search_effects as search
 from hframe_gym.identification.search.outcome import SearchOutcome
@@ -47,11 +48,12 @@ class ScriptedSearch:
         # Chi-squared of a fit in simulation that replaces one with an observer.
         self.simulated: float | None = None
         self.moved: tuple[AppliedEffect, ...] = ()  # effects of that fit, if their values differ
+        self.ends_in = ""  # stage in which the budget ends
         script = self
 
         class FakeEffectSearch:
             def __init__(self, data: Any, plain: Machine, criteria: SelectionCriteria, log: Any) -> None:
-                self.data, self.considered = data, dict[str, Any]()
+                self.data, self.considered, self.reached = data, dict[str, Any](), None
 
             def run(self, current: Fit, chosen: tuple[SelectedEffect, ...] = ()) -> Any:
                 found = script.effects or chosen
@@ -59,6 +61,7 @@ class ScriptedSearch:
                 return fit_with(*(s.effect for s in found), chi2=script.after, bandwidth=bandwidth), found
 
             def with_indistinguishable(self, current: Fit, chosen: tuple[SelectedEffect, ...]) -> Any:
+                script.end("rivals")
                 return chosen
 
             def settle_rivals(self, current: Fit, chosen: tuple[SelectedEffect, ...]) -> Any:
@@ -99,7 +102,7 @@ class ScriptedSearch:
             ),
             "fit_run_by_run": lambda fitted, data: dataclasses.replace(fitted, observers=script.observers),
             "add_tables": lambda start, known, data, criteria, max_tables, log: (
-                script.tables.pop(0) if script.tables else (start, known)
+                script.end("tables") or (script.tables.pop(0) if script.tables else (start, known))
             ),
             "fit_with_moved_knots": lambda fitted, data, criteria: fitted,
             "contradicting_run": lambda fitted, data: script.suspect,
@@ -112,6 +115,12 @@ class ScriptedSearch:
             for name, function in replaced.items():
                 if hasattr(module, name):
                     monkeypatch.setattr(module, name, function)
+
+    def end(self, stage: str) -> None:
+        """Let the budget end if this is the stage in which it does."""
+        if self.ends_in == stage:
+            self.ends_in = ""
+            raise BudgetEndedError
 
     def run(self) -> SearchOutcome:
         """Search in four runs."""
@@ -146,6 +155,20 @@ def test_effects_are_examined_in_simulation_unless_it_is_worse(
     scripted_search.pruned = ()
     outcome = scripted_search.run()
     assert (outcome.selected == ()) == examined
+
+
+@pytest.mark.parametrize("ends_in", ["", "rivals", "tables"])
+def test_effects_that_fail_a_test_are_not_named_wherever_the_budget_ends(
+    scripted_search: ScriptedSearch, ends_in: str
+) -> None:
+    """The spring passes the tests with an observer, but not those in simulation."""
+    scripted_search.effects = (selected(PUSH), selected(SPRING))
+    scripted_search.after = scripted_search.with_effects = scripted_search.wide = 2.0
+    scripted_search.simulated, scripted_search.pruned = 9.0, (selected(PUSH),)
+    scripted_search.ends_in = ends_in
+    outcome = scripted_search.run()
+    assert bool(outcome.unfinished) == bool(ends_in)
+    assert [s.effect for s in outcome.selected] == [PUSH]
 
 
 @pytest.mark.parametrize(("chi2", "expected"), [(1.4, {"a": (3.0, 1.0)}), (1.6, {})])
