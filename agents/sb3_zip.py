@@ -21,7 +21,7 @@ from typing_extensions import override
 
 from ..controllers import Controller, UnitCheck
 from ..envs import EnvOptions, as_sensors
-from ..envs.spaces import ObservationFormat
+from ..envs.observation.spaces import ObservationFormat
 from ..errors import InputError
 from ..evaluation import CONTROLLER_SOURCES, ControllerFiles, ControllerSource, Scenario, environments_of
 from ..machine import Machine

@@ -33,7 +33,7 @@ from benchmarks.results_file import write_results
 from hframe_gym.agents import Agent, load_recipe, shipped_agent_folder, train
 from hframe_gym.arrays import Array
 from hframe_gym.controllers import CONTROLLERS, Controller
-from hframe_gym.envs.domain_randomization import RANDOMIZATION_PRESETS
+from hframe_gym.envs.randomization.domain_randomization import RANDOMIZATION_PRESETS
 from hframe_gym.evaluation import Scenario, rollout, settling_times
 from hframe_gym.evaluation.undeclared_effects import effect_rules, with_absent_effects
 from hframe_gym.machine import BUILTIN_MACHINES, Machine

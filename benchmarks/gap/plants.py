@@ -20,7 +20,7 @@ from functools import cached_property
 import numpy as np
 
 from hframe_gym.effects import EFFECTS
-from hframe_gym.envs.actuators import ACTUATOR_PRESETS
+from hframe_gym.envs.actuation.actuators import ACTUATOR_PRESETS
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from tests.reference_simulator import COORDINATES, Array, Rig, Stage
 from tests.reference_simulator.parameter_arrays import parameter_arrays

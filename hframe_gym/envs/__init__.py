@@ -4,9 +4,21 @@ The adapter for stable-baselines3 is `hframe_gym.envs.sb3_vec_env.HFrameVecEnv`;
 needs an extra.
 """
 
-from .actuators import ACTUATOR_PRESETS, Actuators, ActuatorsLike, action_space
+from .actuation.actuators import ACTUATOR_PRESETS, Actuators, ActuatorsLike, action_space
 from .config import EnvConfig, EnvOptions, MachineLike, as_machine
-from .domain_randomization import (
+from .hframe_env import HFrameEnv, HFrameTrackEnv
+from .observation.sensors import (
+    SENSOR_PRESETS,
+    DeclaredSensors,
+    Encoders,
+    Lasers,
+    Sensors,
+    SensorsLike,
+    as_sensors,
+    observed_machine,
+)
+from .observation.spaces import SignalSpec, observation_space
+from .randomization.domain_randomization import (
     DISTRIBUTIONS,
     RANDOMIZATION_PRESETS,
     Distribution,
@@ -17,19 +29,7 @@ from .domain_randomization import (
     RandomizeParameter,
     Uniform,
 )
-from .hframe_env import HFrameEnv, HFrameTrackEnv
 from .rewards import REWARDS, Reward, RewardLike
-from .sensors import (
-    SENSOR_PRESETS,
-    DeclaredSensors,
-    Encoders,
-    Lasers,
-    Sensors,
-    SensorsLike,
-    as_sensors,
-    observed_machine,
-)
-from .spaces import SignalSpec, observation_space
 from .tasks import TASKS, Reach, Task, TaskLike, Track, as_task
 from .vector_env import HFrameTrackVectorEnv, HFrameVectorEnv
 from .wrappers import (

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from typing import Any
 
 from .environment_batch import EnvironmentBatch
+from .observation.spaces import SignalSpec
 from .saved_state import FORMAT, batch_state, check_state, restore_batch
-from .spaces import SignalSpec
 
 
 class BatchProperties:

@@ -20,9 +20,9 @@ from ..dynamics import LANES, Equations, MotionPoint, in_blocks, kernel_for
 from ..dynamics.codegen.compiled import compiled
 from ..errors import InputError
 from ..machine import Machine, rest_positions_per_axis
-from .applied_voltages import ActuatorModel
+from .actuation.applied_voltages import ActuatorModel
 from .delays import DelayLine
-from .machine_sampler import ParameterSpace
+from .randomization.machine_sampler import ParameterSpace
 from .workspace import EndStops, tool_terms, write_tool_positions
 
 

@@ -11,10 +11,10 @@ from typing import Any, Literal, TypeAlias, TypedDict
 
 from ..errors import InputError, is_number
 from ..machine import Machine
-from .actuators import ActuatorsLike
-from .domain_randomization import RandomizationLike
+from .actuation.actuators import ActuatorsLike
+from .observation.sensors import SensorsLike
+from .randomization.domain_randomization import RandomizationLike
 from .rewards import RewardLike
-from .sensors import SensorsLike
 from .tasks import TaskLike
 
 MachineLike: TypeAlias = Machine | str | Path

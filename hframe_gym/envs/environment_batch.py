@@ -21,14 +21,14 @@ from numpy.typing import NDArray
 from ..arrays import Array, GoalPlans, Index
 from ..dynamics import LANES, NotFiniteError, in_parallel
 from ..errors import InputError, is_integer
-from .actuators import check_actions, with_actuators
+from .actuation.actuators import check_actions, with_actuators
 from .batched_simulator import BatchedSimulator, block_ranges
 from .config import EnvConfig, as_machine
-from .machine_sampler import MachineSampler
-from .observations import Observation, ObservationBuilder
+from .observation.observations import Observation, ObservationBuilder
+from .observation.sensors import as_sensors
+from .observation.spaces import ObservationFormat, observation_signals
+from .randomization.machine_sampler import MachineSampler
 from .rewards import PenalizedReward, as_reward, distances
-from .sensors import as_sensors
-from .spaces import ObservationFormat, observation_signals
 from .step_rewards import StepRewards
 from .tasks import as_task
 from .tasks.base import ReferenceTrajectories

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from typing_extensions import override
 
 from ..errors import InputError
-from .actuators import action_space
+from .actuation.actuators import action_space
 from .batch_properties import BatchProperties
 from .config import EnvConfig, EnvOptions, check_keywords, check_render_mode
 from .environment_batch import EnvironmentBatch
-from .observations import Observation
+from .observation.observations import Observation
 from .rendering import TRAIL_LENGTH, Renderer, Scene, tool_point
 from .reset_options import reset_keywords
 from .saved_state import generator_state

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ..arrays import Array, Index
 from ..dynamics.codegen.compiled import compiled
 from ..errors import InputError
+from .observation.spaces import ObservationFormat
 from .rewards import (
     PROGRESS,
     REWARDS,
@@ -30,7 +31,6 @@ from .rewards import (
     evaluate_rows,
     row_distance,
 )
-from .spaces import ObservationFormat
 
 # Per step at the goal, and the distance at which it is halved, m. Without it nothing but the discount makes an agent
 # prefer to stay close, and exploration hides that: PPO was then still at 2 mm after 100 000 steps.

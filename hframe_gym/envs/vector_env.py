@@ -16,12 +16,12 @@ from typing_extensions import override
 from ..arrays import Array, Index
 from ..errors import InputError, is_integer
 from ..machine import Machine
-from .actuators import action_space
+from .actuation.actuators import action_space
 from .batch_properties import BatchProperties
 from .config import EnvConfig, EnvOptions, check_keywords, check_render_mode
 from .environment_batch import EnvironmentBatch, Flags, StepResult
 from .hframe_env import require_path
-from .observations import Observation
+from .observation.observations import Observation
 from .rendering import TRAIL_LENGTH, Renderer, Scene, tool_point
 from .reset_options import reset_keywords
 

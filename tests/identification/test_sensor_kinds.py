@@ -11,7 +11,7 @@ from hframe_gym.controllers import StateEstimator
 from hframe_gym.data_validation import check_recordings
 from hframe_gym.dynamics import linearize, simulate
 from hframe_gym.envs import DeclaredSensors
-from hframe_gym.envs.spaces import sensor_signals
+from hframe_gym.envs.observation.spaces import sensor_signals
 from hframe_gym.identification import default_free_parameters, fit, identify, prepare
 from hframe_gym.identification.report.plots import readable_unit
 from hframe_gym.machine import SENSOR_KINDS, Coordinate, Drive, Machine, Sensor, SensorKind

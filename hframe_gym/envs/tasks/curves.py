@@ -14,7 +14,7 @@ import numpy as np
 
 from ...arrays import Array
 from ...dynamics.codegen.compiled import compiled, compiled_only
-from ..random_numbers import cos_sin_of_turns
+from ..randomization.random_numbers import cos_sin_of_turns
 
 # Segments of a Lissajous figure. At 50 mm across, the curve bulges at most 0.05 um from a segment.
 SEGMENTS = 8192

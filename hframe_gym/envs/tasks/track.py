@@ -203,7 +203,6 @@ class Track(Task):
 
     @override
     def aim(self, target: Array) -> GoalPlans:
-        """Raise an InputError: the goal moves along a path, so a target cannot be set."""
         raise InputError("task track has no target; choose where its path lies with Track(centre=(x, y))")
 
     @override

@@ -28,7 +28,7 @@ import numpy as np
 
 from ...arrays import Array
 from ...envs import RANDOMIZATION_PRESETS, Reach, Task, Track, as_machine
-from ...envs.actuators import ACTUATOR_PRESETS
+from ...envs.actuation.actuators import ACTUATOR_PRESETS
 from ...errors import InputError, suggestion
 from ...machine import Machine
 from ...recordings.machine_file import machine_to_dict

@@ -7,7 +7,7 @@ import pytest
 
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
-from hframe_gym.envs.machine_sampler import MachineSampler
+from hframe_gym.envs.randomization.machine_sampler import MachineSampler
 from hframe_gym.identification import FreeParameter, fit, prepare
 from hframe_gym.identification.fit.covariance import with_uncertainty
 from hframe_gym.identification.fit.inseparable_parameters import inseparable_parameters

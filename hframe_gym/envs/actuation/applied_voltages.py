@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import EnvironmentCounts, EnvironmentParameters, Index
-from ..dynamics import LANES
-from ..dynamics.codegen.blocks import read_block
-from ..dynamics.codegen.compiled import compiled
-from ..machine import Machine
-from .delays import longest_delay
+from ...arrays import EnvironmentCounts, EnvironmentParameters, Index
+from ...dynamics import LANES
+from ...dynamics.codegen.blocks import read_block
+from ...dynamics.codegen.compiled import compiled
+from ...machine import Machine
+from ..delays import longest_delay
 
 
 class ActuatorModel:

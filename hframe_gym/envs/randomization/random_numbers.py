@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
-from ..arrays import Array, EpisodeKeys
-from ..dynamics.codegen.compiled import compiled
+from ...arrays import Array, EpisodeKeys
+from ...dynamics.codegen.compiled import compiled
 
 # Constants of SplitMix64, as uint64, so that the arithmetic stays in integers of 64 bits.
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)

@@ -23,9 +23,9 @@ import numpy as np
 from scipy.special import exp10, ndtri
 from typing_extensions import override
 
-from ..arrays import Array
-from ..errors import InputError, is_number, suggestion
-from ..registry import Registry
+from ...arrays import Array
+from ...errors import InputError, is_number, suggestion
+from ...registry import Registry
 
 How = Literal["scale", "add", "set"]
 When = Literal["reset", "startup"]

@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import Array, EnvironmentCounts, EnvironmentParameters, EpisodeKeys, Index, LaneReadings
-from ..dynamics import LANES
-from ..dynamics.codegen.compiled import compiled
-from ..dynamics.codegen.lane_program import LaneProgram
-from ..dynamics.codegen.native_calls import call_at
-from ..machine import SENSOR_KINDS, Machine, Sensor, SensorKind
-from .random_numbers import normal_pair, normal_pairs
+from ...arrays import Array, EnvironmentCounts, EnvironmentParameters, EpisodeKeys, Index, LaneReadings
+from ...dynamics import LANES
+from ...dynamics.codegen.compiled import compiled
+from ...dynamics.codegen.lane_program import LaneProgram
+from ...dynamics.codegen.native_calls import call_at
+from ...machine import SENSOR_KINDS, Machine, Sensor, SensorKind
+from ..randomization.random_numbers import normal_pair, normal_pairs
 from .sensors import sensor_range_names
 
 # First channel of the random numbers of sensor kinds whose formula is not the default one.

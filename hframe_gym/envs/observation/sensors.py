@@ -16,10 +16,10 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from typing_extensions import override
 
-from ..arrays import Array, Index
-from ..effects import EFFECTS
-from ..errors import InputError, is_number, suggestion
-from ..machine import Machine, Sensor, observed_coordinates, rest_positions_per_axis
+from ...arrays import Array, Index
+from ...effects import EFFECTS
+from ...errors import InputError, is_number, suggestion
+from ...machine import Machine, Sensor, observed_coordinates, rest_positions_per_axis
 
 
 @dataclass(frozen=True)

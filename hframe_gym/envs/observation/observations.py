@@ -12,20 +12,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import Array, EnvironmentCounts, EnvironmentParameters, EpisodeKeys, Index
-from ..dynamics import LANES
-from ..dynamics.codegen.blocks import write_block
-from ..dynamics.codegen.compiled import compiled
-from ..dynamics.codegen.lane_program import LaneProgram
-from ..dynamics.codegen.native_calls import call_at
-from ..machine import Sensor
-from .batched_simulator import BatchedSimulator, block_ranges
-from .machine_sampler import MachineSampler
+from ...arrays import Array, EnvironmentCounts, EnvironmentParameters, EpisodeKeys, Index
+from ...dynamics import LANES
+from ...dynamics.codegen.blocks import write_block
+from ...dynamics.codegen.compiled import compiled
+from ...dynamics.codegen.lane_program import LaneProgram
+from ...dynamics.codegen.native_calls import call_at
+from ...machine import Sensor
+from ..batched_simulator import BatchedSimulator, block_ranges
+from ..randomization.machine_sampler import MachineSampler
+from ..rewards import Evaluation, evaluate_rows
+from ..workspace import tool_product, workspace_of
 from .measurements import SensorArray
-from .rewards import Evaluation, evaluate_rows
 from .sensors import PositionFromSensors
 from .spaces import MARGIN, SignalSpec, bounds_of, privileged_signals, sensor_signals, state_signals
-from .workspace import tool_product, workspace_of
 
 Observation = dict[str, NDArray[np.float32]]
 _FLOAT32 = np.dtype(np.float32)  # saves its construction in every step

@@ -16,10 +16,10 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from ..dynamics.codegen.compiled import compiled
-from ..effects import EFFECTS
-from ..errors import InputError, is_integer, is_number, suggestion
-from ..machine import Machine
+from ...dynamics.codegen.compiled import compiled
+from ...effects import EFFECTS
+from ...errors import InputError, is_integer, is_number, suggestion
+from ...machine import Machine
 
 
 @dataclass(frozen=True)

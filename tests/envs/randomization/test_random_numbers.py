@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import kstest, norm
 
-from hframe_gym.envs.random_numbers import (
+from hframe_gym.envs.randomization.random_numbers import (
     RESET_STEP,
     CorrelatedSampler,
     _log,

@@ -10,11 +10,11 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
-from ..arrays import Array
-from ..dynamics.codegen.compiled import compiled
-from ..errors import InputError
-from ..machine import AXIS_UNITS, Drive, Machine, Sensor, observed_coordinates, rest_positions_per_axis
-from .workspace import workspace_of
+from ...arrays import Array
+from ...dynamics.codegen.compiled import compiled
+from ...errors import InputError
+from ...machine import AXIS_UNITS, Drive, Machine, Sensor, observed_coordinates, rest_positions_per_axis
+from ..workspace import workspace_of
 
 # m, distance by which the bounds of positions exceed the workspace, because the end stops yield.
 MARGIN = 0.05

@@ -9,7 +9,7 @@ from scipy.stats import kstest, norm
 
 from hframe_gym.effects import EFFECTS
 from hframe_gym.envs import DISTRIBUTIONS, HFrameEnv, LogUniform, Normal, RandomizeParameter, Uniform
-from hframe_gym.envs.domain_randomization import as_rules, matching
+from hframe_gym.envs.randomization.domain_randomization import as_rules, matching
 from hframe_gym.errors import InputError
 from hframe_gym.machine import BUILTIN_MACHINES
 

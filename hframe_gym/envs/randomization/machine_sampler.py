@@ -11,9 +11,10 @@ import numpy as np
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
-from ..arrays import Array, EnvironmentParameters, Index
-from ..errors import InputError, example_names
-from ..machine import Machine
+from ...arrays import Array, EnvironmentParameters, Index
+from ...errors import InputError, example_names
+from ...machine import Machine
+from ..workspace import effect_and_belt_limits
 from .domain_randomization import (
     RandomizationLike,
     RandomizeIdentified,
@@ -24,7 +25,6 @@ from .domain_randomization import (
     matching,
 )
 from .random_numbers import LARGEST_UNIFORM, SMALLEST_UNIFORM, CorrelatedSampler, episode_keys, reset_uniforms
-from .workspace import effect_and_belt_limits
 
 Keys = NDArray[np.uint64]
 Range = tuple[Array, Array]  # smallest and largest values

@@ -15,8 +15,8 @@ from hframe_gym.envs import (
     Track,
     Uniform,
 )
-from hframe_gym.envs.domain_randomization import DEFAULT
-from hframe_gym.envs.machine_sampler import ParameterSpace, RuleSampler
+from hframe_gym.envs.randomization.domain_randomization import DEFAULT
+from hframe_gym.envs.randomization.machine_sampler import ParameterSpace, RuleSampler
 from hframe_gym.errors import InputError
 from hframe_gym.machine import BUILTIN_MACHINES, Uncertainty
 
