@@ -49,11 +49,11 @@ class Finding:
 
 
 def channel_unit(channel: str, machine: Machine) -> str:
-    """Return the unit of a channel, which the end of its name gives, such as V in "v1_V".
+    """Return the unit in which messages state the values of a channel.
 
     Returns:
-        For an input, "A" or "Nm" if its name ends with this unit, otherwise "V". For an output of a position, "m" or
-        "rad" if its name ends with this unit, otherwise the unit of the sensor.
+        The unit of the drive's command or of the sensor. The end of the name takes its place where the kind does not
+        tell: "A" or "Nm" for a drive of the kind "voltage", "m" or "rad" for a sensor of positions.
     """
     ending = channel.rpartition("_")[2]
     if channel in machine.input_channels:
@@ -127,7 +127,7 @@ def print_findings(findings: Sequence[Finding], console: Console) -> None:
 
 
 def refuse_faults(findings: Sequence[Finding], folder: Path) -> None:
-    """Raise an InputError that states file, channel and message of each fault, if there is one, and --force."""
+    """Raise an InputError if there are faults; it states file, channel and message of each, and the option --force."""
     faults = [finding for finding in findings if finding.severity == "fault"]
     if not faults:
         return

@@ -13,7 +13,7 @@ from .findings import Finding, channel_unit
 
 
 def check_input_noise(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
-    """Report each input of a run that changes from row to row like noise, where it is a current or a torque: advice.
+    """Report, as advice, each current or torque of a run that changes from row to row like noise.
 
     Voltages are commands as a rule, and a command may be random by intention.
     """

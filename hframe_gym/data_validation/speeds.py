@@ -24,7 +24,7 @@ _CORRELATION = 0.9  # below it, something else than a factor is wrong, or the mo
 
 
 def check_speeds(recordings: Sequence[Recording], machine: Machine) -> list[Finding]:
-    """Report sensors of speeds with a sign that measure a multiple of the speeds at which positions change: faults."""
+    """Report, as faults, sensors of signed speeds that measure a multiple of the rate at which the positions change."""
     speeds = [j for j, sensor in enumerate(machine.sensors) if sensor.of_velocity]
     positions = machine.position_sensors
     if not speeds or not positions.any():

@@ -246,8 +246,8 @@ def _soften_buffers(
             parameters[b, stop + 4] = min(damped, LARGEST_DEPTH)
 
 
-def tool_product(machine: Machine, name: str) -> tuple[int, int]:
-    """Return the indices of two coordinates whose product is added to the tool position along an axis, else -1 and -1.
+def product_in_tool_position(machine: Machine, name: str) -> tuple[int, int]:
+    """Return the indices of two coordinates whose product the tool position along an axis contains; -1, -1 if none.
 
     The tool position along x is usually the coordinate x. If the bridge can yaw, it is x + yaw * y: the result for "x"
     is then (index of yaw, index of y).
@@ -270,7 +270,10 @@ def tool_terms(machine: Machine) -> NDArray[np.intp]:
         Indices i, j and k of each axis in `machine.coordinate_names`, shape (axes, 3); j = k = -1 without product.
     """
     return np.array(
-        [(machine.coordinate_names.index(name), *tool_product(machine, name)) for name in machine.tool_axes]
+        [
+            (machine.coordinate_names.index(name), *product_in_tool_position(machine, name))
+            for name in machine.tool_axes
+        ]
     )
 
 

@@ -68,9 +68,10 @@ class Sometimes(Distribution):
 
     @override
     def quantile(self, u: Array) -> Array:
-        """Compute quantiles: of the log-uniform numbers and the constant, which comes last if it is at least `high`.
+        """Compute quantiles of the mixture, in ascending order.
 
-        With `signed`, they pass through negative log-uniform numbers, 0 and positive ones.
+        The constant comes after the log-uniform numbers if it is at least `high`, before them otherwise; with `signed`,
+        between the negative and the positive ones.
         """
         size = LogUniform(self.low, self.high)
         below = self.probability if self.otherwise >= self.high else 0.5 * self.probability * self.signed

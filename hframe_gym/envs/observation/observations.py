@@ -22,7 +22,7 @@ from ...machine import Sensor
 from ..batched_simulator import BatchedSimulator, block_ranges
 from ..randomization.machine_sampler import MachineSampler
 from ..rewards import Evaluation, evaluate_rows
-from ..workspace import tool_product, workspace_of
+from ..workspace import product_in_tool_position, workspace_of
 from .measurements import SensorArray
 from .sensors import PositionFromSensors
 from .spaces import MARGIN, SignalSpec, bounds_of, privileged_signals, sensor_signals, state_signals
@@ -52,7 +52,9 @@ class StateView:
             row = i + len(names) * signal.velocity
             value = f"load(state, {row}) * load(units, {i})"
             first, second = (
-                (-1, -1) if signal.velocity else tool_product(simulator.machine, signal.coordinate)
+                (-1, -1)
+                if signal.velocity
+                else product_in_tool_position(simulator.machine, signal.coordinate)
             )
             if first >= 0:  # the tool of a bridge that can yaw is at x + yaw * y
                 across = f"(load(state, {second}) * load(units, {second}))"

@@ -97,7 +97,7 @@ class InputShaperExporter(MachineExporter):
     at: list[str] | None = option(None, "Tool position of the modes, as AXIS=POSITION; repeat for more axes.")
 
     def notes(self, machine: Machine) -> list[str]:
-        """Describe what the settings are for, in lines for a comment, and that nothing measured them if so."""
+        """Say, in lines for a comment, what the settings are for, and whether they rest on measurements."""
         notes = [
             "For the first mode of the carriage along each axis, with the motors held at their "
             "commanded positions as the",

@@ -64,7 +64,7 @@ def shaft_inertias(machine: Machine) -> Array:
     return np.asarray(masses @ along_drives**2 / ratios**2)
 
 
-def commanded(machine: Machine, drive: Drive, kind: str | None, inertia: float) -> Drive:
+def with_command(machine: Machine, drive: Drive, kind: str | None, inertia: float) -> Drive:
     """Return a drive of another kind, whose column and largest command or torque are those of the same motor.
 
     `inertia` is what its shaft moves, kg m^2.
@@ -111,7 +111,7 @@ def _set_point_drive(drive: Drive, kind: str, channel: str, inertia: float) -> D
     )
 
 
-def reaching(machine: Machine, drive: Drive) -> Drive:
+def reaching_workspace(machine: Machine, drive: Drive) -> Drive:
     """Return a drive whose largest commanded position is that in the farthest corner of the workspace.
 
     That of a pulley is rounded up to whole rad. Other drives are returned as they are.

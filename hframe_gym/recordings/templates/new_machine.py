@@ -8,7 +8,7 @@ from collections.abc import Mapping
 
 from ...errors import InputError, suggestion
 from ...machine import BUILTIN_MACHINES, Machine
-from .drives import commanded, reaching, shaft_inertias, with_motor_values
+from .drives import reaching_workspace, shaft_inertias, with_command, with_motor_values
 from .options import MachineOptions
 from .questions import check_options
 from .sensors import further_sensor, sensors_of
@@ -43,11 +43,11 @@ def new_machine(like: str, name: str, options: MachineOptions) -> Machine:
     inertias = shaft_inertias(machine)
     machine = machine.replace(
         drives=tuple(
-            commanded(machine, drive, options.drive, inertia)
+            with_command(machine, drive, options.drive, inertia)
             for drive, inertia in zip(machine.drives, inertias, strict=True)
         )
     )
-    machine = machine.replace(drives=tuple(reaching(machine, d) for d in machine.drives))
+    machine = machine.replace(drives=tuple(reaching_workspace(machine, d) for d in machine.drives))
     for text in options.sensor:
         machine = machine.replace(sensors=(*machine.sensors, further_sensor(machine, text)))
     if not machine.sensors:
