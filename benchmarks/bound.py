@@ -39,7 +39,7 @@ from hframe_gym.evaluation import (
     rollout,
     settling_times,
 )
-from hframe_gym.evaluation.metrics import BOUNDS_FILE
+from hframe_gym.evaluation.stored_bounds import BOUNDS_FILE
 from hframe_gym.files import write_text
 from hframe_gym.machine import rest_state
 from tools.command_line import command_line

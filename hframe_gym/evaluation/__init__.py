@@ -7,13 +7,10 @@ from .metrics import (
     BOOTSTRAP_RESAMPLES,
     BOUND_BAND,
     METRICS,
-    StoredBounds,
-    condition_digests,
     mean_with_interval,
     ratio_of_means,
     score_episodes,
     settling_times,
-    stored_bounds,
 )
 from .minari_export import ExportedDataset, RandomActions, dataset_controller, export_dataset
 from .package_versions import installed_versions, result_versions
@@ -49,6 +46,7 @@ from .reported_scores import (
 from .runner import Evaluation, evaluate, file_labels, rollout, write_motions, write_scores
 from .scenario import EpisodeConditions, Scenario, environments_of, episode_conditions
 from .scorecard import write_scorecard
+from .stored_bounds import StoredBounds, condition_digests, stored_bounds
 from .timed_controller import TimedController
 from .undeclared_effects import EFFECT_FAMILIES, acting_effects, effect_rules, with_absent_effects
 

@@ -25,8 +25,9 @@ from ..machine import Machine
 from ..recordings import recorded_commands
 from .controller_creation import make_controller
 from .episodes import Command, Episodes
-from .metrics import score_episodes, stored_bounds
+from .metrics import score_episodes
 from .scenario import Scenario, environments_of
+from .stored_bounds import stored_bounds
 
 SAMPLES_PER_PERIOD = 10
 MAX_SAMPLES = 200_000_000  # of all episodes together; a recorded sample of a planar machine takes 32 bytes

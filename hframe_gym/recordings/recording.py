@@ -21,7 +21,6 @@ from .quantities import split_unit
 from .tables.table_file import (
     SUFFIXES,
     ForeignFormatError,
-    cell_text,
     compressed_by_name,
     import_command,
     read_table,
@@ -30,28 +29,17 @@ from .tables.table_file import (
     refuse_rows,
 )
 from .tables.text_reader import Progress, cumulative
-from .wrong_units import UNIT_WORDS, WrongUnitError
+from .wrong_units import UNIT_WORDS, refuse_wrong_units
 
 MIN_ROWS = 20_000  # rows that are read of each run; typical runs have fewer
 _ROWS_PER_WRITE = 50_000  # so many rows are held in memory as text, a few tens of MB
 _COMPRESSION = 4  # level of gzip; higher levels take several times as long and save a few percent
-# The largest plausible measurement of a channel by the ending of its name (20 m, 2000 turns), and the unit of the value
-# if it is larger.
-_LARGEST = {"_m": (20.0, "mm"), "_rad": (2000 * 2 * np.pi, "deg")}
 _LARGEST_DUTY = 1.05  # the noise of a measured duty cycle may exceed 1
-# A channel that spans more than this multiple of its coordinate's range is in another unit.
-_MAX_SPAN = 3.0
-# Ratios of measured to plausible travel that suggest degrees (57.3) and millimeters (1000); the limits leave room for
-# noise and for a wrong radius.
-_DEGREES = (25.0, 120.0)
-_MILLIMETERS = (300.0, 2000.0)
 # Limits of a simulation: at its longest step of 0.25 ms, a gap takes 2.4 million steps and a run 350 million.
 LONGEST_GAP = 600.0  # s
 LONGEST_RUN = 86_400.0  # s
 MOST_LOST_ROWS = 20_000_000  # rows that `fill_gaps` may insert, 1 GB
 _MACHINE_QUESTION = "Is this the machine of the recordings (--machine)?"
-_OUTLIERS = 0.01  # of the samples of a channel; single wrong samples are no evidence of a wrong unit
-_MOVED = 1e-3  # m, standard deviation of the carriage's travel below which the ratio is not evaluated
 
 
 @dataclass(frozen=True)
@@ -197,7 +185,7 @@ def recording_from_columns(path: Path, columns: Mapping[str, Array], machine: Ma
             f"{path}, columns {', '.join(machine.output_channels)}: all outputs are empty; one must be measured"
         )
     recording = Recording(run_name(path), time_s, inputs, outputs)
-    _check_units(path, recording, machine)
+    refuse_wrong_units(path, recording.outputs, machine)
     return recording
 
 
@@ -333,69 +321,3 @@ def _check_header(path: Path, header: list[str], machine: Machine, *, outputs_ne
         raise InputError(f"{path}, column {missing[0]}: missing (the header has {', '.join(header)}){advice}")
     if header[0] != "time_s":
         raise InputError(f"{path}, column {header[0]}: the first column must be time_s")
-
-
-def _check_units(path: Path, recording: Recording, machine: Machine) -> None:
-    """Refuse channels in millimeters or degrees, by their size, their span and the ratios that the belts impose."""
-    for sensor, values in zip(machine.sensors, recording.outputs.T, strict=True):
-        if not sensor.of_position:
-            continue
-        for ending, (largest, suspect) in _LARGEST.items():
-            if sensor.channel.endswith(ending):
-                implausible = np.abs(np.nan_to_num(values)) > largest
-                if implausible.sum() > _OUTLIERS * np.isfinite(values).sum():
-                    cell = cell_text(path, sensor.channel, values, int(np.argmax(implausible)))
-                    raise WrongUnitError(f"{cell} cannot be {ending[1:]}", (sensor.channel,), suspect)
-        coordinate = machine.coordinate(sensor.coordinate)
-        if coordinate.range is not None and np.isfinite(values).any():
-            span, range_length = np.ptp(_without_extremes(values)), coordinate.range[1] - coordinate.range[0]
-            if span > _MAX_SPAN * range_length:
-                unit, suspect = ("m", "mm") if coordinate.kind == "linear" else ("rad", "deg")
-                limit = f"the range of {coordinate.name} is {range_length:.4g} {unit}"
-                problem = f"{path}, column {sensor.channel}: moves by {span:.4g} {unit}, but {limit}"
-                raise WrongUnitError(problem, (sensor.channel,), suspect)
-    ratio = _pulley_travel_ratio(recording, machine)
-    if ratio is None:
-        return
-    for kind, factor, limits, suspect in (
-        ("rotary", ratio, _DEGREES, "deg"),
-        ("linear", 1 / ratio if ratio else np.inf, _MILLIMETERS, "mm"),
-    ):
-        if limits[0] < factor < limits[1]:
-            positions = [s for s in machine.sensors if s.of_position]
-            channels = tuple(s.channel for s in positions if machine.coordinate(s.coordinate).kind == kind)
-            problem = (
-                f"{path}, columns {', '.join(channels)}: {factor:.0f} times the travel that the belts allow"
-            )
-            raise WrongUnitError(problem, channels, suspect)
-
-
-def _without_extremes(values: Array) -> Array:
-    """Return the measured values, limited to the range that all but the possible outliers have."""
-    measured = values[np.isfinite(values)]
-    low = np.quantile(measured, _OUTLIERS / 2, method="lower")
-    high = np.quantile(measured, 1 - _OUTLIERS / 2, method="higher")
-    return np.clip(measured, low, high)
-
-
-def _pulley_travel_ratio(recording: Recording, machine: Machine) -> float | None:
-    """Return the ratio of measured to expected pulley travel, or None if the carriage did not move.
-
-    The expected travel follows from the measured motion of the carriage and unstretched belts.
-    """
-    column_of = {s.coordinate: j for j, s in enumerate(machine.sensors) if len(s.row) == 1 and s.of_position}
-    expected, measured = 0.0, 0.0  # m, summed standard deviations
-    for belt in machine.belts:
-        rotary = [c for c in belt.extension if machine.coordinate(c).kind == "rotary"]
-        if len(rotary) != 1 or any(c not in column_of for c in belt.extension):
-            continue
-        pulley = rotary[0]
-        angle = recording.outputs[:, column_of[pulley]]
-        pulley_travel = angle * machine.coordinate(pulley).radius * belt.extension[pulley]
-        others = {c: factor for c, factor in belt.extension.items() if c != pulley}
-        carriage_travel = sum(factor * recording.outputs[:, column_of[c]] for c, factor in others.items())
-        rows = np.isfinite(pulley_travel + carriage_travel)
-        if rows.sum() > 2:
-            expected += float(np.std(_without_extremes(np.asarray(carriage_travel)[rows])))
-            measured += float(np.std(_without_extremes(pulley_travel[rows])))
-    return measured / expected if expected > _MOVED else None

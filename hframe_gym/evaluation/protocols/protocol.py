@@ -33,8 +33,9 @@ from ...errors import InputError, suggestion
 from ...machine import Machine
 from ...recordings.machine_file import machine_to_dict
 from ..episodes import Episodes
-from ..metrics import BANDS, condition_digests, settling_times
+from ..metrics import BANDS, settling_times
 from ..scenario import Scenario, episode_conditions
+from ..stored_bounds import condition_digests
 from ..undeclared_effects import effect_rules, with_absent_effects
 
 Draws = dict[str, list[float | None]]

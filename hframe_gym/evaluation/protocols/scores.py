@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from ...arrays import Array
-from ..metrics import ratio_of_means, stored_bounds
+from ..metrics import ratio_of_means
+from ..stored_bounds import stored_bounds
 from .protocol import Draws, get_protocol
 
 BOOTSTRAP_SEED = 0

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from ...arrays import Array
 from ...errors import InputError
 from ...files import refuse_expansion, refuse_long_line, refuse_many_values
-from .text_format import MISSING_WORDS, TextFormat, is_missing, is_number_or_stamp, open_text, split_row
+from .cells import MISSING_WORDS, is_missing, is_number_or_stamp, split_row
+from .text_format import TextFormat, open_text
 
 # Called with the number of bytes of the file that were read since the last call.
 Progress = Callable[[int], None]
