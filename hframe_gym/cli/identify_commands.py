@@ -116,7 +116,7 @@ def _identify_rig(
     fit: _Fit, runs_dir: Path, recordings: list[Recording], out: Path
 ) -> tuple[IdentificationResult, Exception | None]:
     """Identify one rig, write and print its result; return it with the error of the page, if there is one."""
-    from ..identification.report.answers import verdict_sentence
+    from ..identification.report.verdict_words import verdict_sentence
     from .tables.identification import effect_lines, identification_table
 
     with search_progress(log) as progress:
@@ -255,7 +255,7 @@ def _identify_rigs(fit: _Fit, rigs: list[_Rig], jobs: int, ray: str | None) -> N
 
 def _identify_in_worker(fit: _Fit, show_progress: bool, rig: _Rig) -> _IdentifiedRig:
     """Identify a rig in a temporary folder."""
-    from ..identification.report.answers import verdict_sentence
+    from ..identification.report.verdict_words import verdict_sentence
 
     def log(line: str) -> None:
         if show_progress:

@@ -34,7 +34,7 @@ def identification_table(report: Report) -> Table:
         drives' force divided by the root mean square of this force, %. Below the table: the force that the machines
         lack.
     """
-    from ...identification.report.answers import missing_forces
+    from ...identification.report.remainder import missing_forces
 
     title = "simulation error on held-out recordings: rms, x: multiple of the sensor noise, % of the motion"
     machines = report.machines

@@ -53,7 +53,7 @@ from hframe_gym.identification.predict.voltage_errors import (
     simulation_error,
     with_voltage_errors,
 )
-from hframe_gym.identification.report.answers import reason_of_remainder
+from hframe_gym.identification.report.remainder import reason_of_remainder
 from hframe_gym.identification.validate.evaluation import _quiet
 from hframe_gym.machine import BUILTIN_MACHINES
 from hframe_gym.recordings import Recording

@@ -11,14 +11,14 @@ import pytest
 from hframe_gym.cli.tables.identification import identification_table
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset
-from hframe_gym.identification.report.answers import (
+from hframe_gym.identification.report.answers import removed_by_effects
+from hframe_gym.identification.report.document import Evaluation, Formula, TableOfFormulas
+from hframe_gym.identification.report.remainder import (
     largest_position_error,
     missing_forces,
-    removed_by_effects,
     tone_of_remainder,
-    verdict_sentence,
 )
-from hframe_gym.identification.report.document import Evaluation, Formula, TableOfFormulas
+from hframe_gym.identification.report.verdict_words import verdict_sentence
 from hframe_gym.machine import BUILTIN_MACHINES, Sensor
 from tests.identification.report.axis_results import effect_entry, report_with, result_of
 from tests.identification.single_axis import AXIS, axis_result, axis_runs

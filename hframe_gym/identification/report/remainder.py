@@ -1,0 +1,159 @@
+"""Words about the error that is left: how large it is, whether it is noise, and why it is left."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Literal
+
+from ...effects.smooth_table import HOOK_OF_KIND
+from ...web_page import number
+from ..judge.criteria import SelectionCriteria
+from ..judge.table import is_better_than_table
+from ..judge.verdict import error_beyond_noise
+from .document import Evaluation, Report
+from .units import readable_unit
+
+NOTICEABLE_ERROR = 1.3  # Remaining error over noise that the report calls unexplained.
+# Error in percent of the motion that is small: a feed-forward control by the machine removes the other 99 %.
+_SMALL_PERCENT_OF_MOTION = 1.0
+_WHOLE = 100.0  # percent; a larger force is no part of another one.
+# A simulation whose error is beyond both has drifted: times the noise, and percent of the motion before or after.
+_MAX_NOISE_RATIO, _MAX_PERCENT_OF_MOTION = 50.0, 50.0
+DIVERGES = "infinitely many (its simulation diverges)"
+
+
+def tone_of_remainder(report: Report) -> Literal["good", "neutral", "warning"]:
+    """Return the tone of the page, which follows from the error that is left and not from the names that were found.
+
+    Args:
+        report: Content of report.json.
+
+    Returns:
+        "good" if the error is at most `max_noise_ratio_explained` times the noise, and beyond it at most
+        `max_motion_error` of the motion of every channel, and the verdict is not "unexplained"; otherwise "neutral" if
+        it is at most 1 % of the motion of every channel; "warning" if it is larger, or the simulation diverges.
+    """
+    criteria, left = SelectionCriteria(), report.left
+    percents = report.after.percents_of_motion
+    largest = max(percents, default=0.0)
+    if left is None:
+        return "warning"
+    beyond = error_beyond_noise(largest / 100.0, left)
+    at_noise = left <= criteria.max_noise_ratio_explained and beyond <= criteria.max_motion_error
+    if at_noise and report.verdict != "unexplained":
+        return "good"
+    return "neutral" if percents and largest <= _SMALL_PERCENT_OF_MOTION else "warning"
+
+
+def drifts(report: Report) -> bool:
+    """Return whether the simulation drifts, so that the error of the drives' force describes the machine better.
+
+    Args:
+        report: Content of report.json.
+    """
+    ratio = report.after.noise_ratio
+    if report.after.force_error is None or ratio is None or ratio <= _MAX_NOISE_RATIO:
+        return False
+    percents = [*report.before.percents_of_motion, *report.after.percents_of_motion]
+    return not percents or max(percents) > _MAX_PERCENT_OF_MOTION
+
+
+def cause_of_remainder(report: Report) -> str:
+    """Return the end of a sentence about the error that is left: why that is; "" if it is the sensors' noise."""
+    if (left := report.left) is None or left < NOTICEABLE_ERROR:
+        return ""
+    if not (runs := report.contradicting):
+        return f"{reason_of_remainder(report)}."
+    subject = f"{' and '.join(runs)} contradict{'s' if len(runs) == 1 else ''}"
+    others = report.left_in_others
+    elsewhere = "" if others is None else f" On the other held-out runs, it is {number(others)} times."
+    return f", because {subject} the fitted runs (see the warnings).{elsewhere}"
+
+
+def reason_of_remainder(report: Report) -> str:
+    """Return a clause about the error that the machine of the verdict leaves on the held-out runs.
+
+    Args:
+        report: Content of report.json, with the error `left`.
+
+    Returns:
+        What a formula that is recommended in place of a table leaves, if that is clearly less; what a table does not
+        describe, for another machine with a table; that voltages which the log lacks may be the cause; or that it is
+        not known.
+    """
+    tables = any(effect.name.partition("[")[0] in HOOK_OF_KIND for effect in report.effects)
+    formulas = {
+        math.sqrt(sum(error**2 for error in f.held_out.values()) / len(f.held_out)): " + ".join(f.terms)
+        for table in report.proposed_formulas
+        for f in table.formulas
+        if f.recommended and f.held_out
+    }
+    error = min(formulas, default=math.inf)  # ratio of simulation error to noise, as `left`
+    if report.left is not None and is_better_than_table(error, report.left):
+        return f"; with the proposed formula ({formulas[error]}) in place of the table, it is {number(error)} times"
+    if tables:
+        return ". A table has straight pieces and names no cause"
+    if report.unknown_voltages:
+        commands = report.unknown_voltages.commands
+        return f", of which the unknown {commands} between the rows may cause a part or all"
+    return ", whose cause was not found"
+
+
+def largest_position_error(evaluation: Evaluation) -> str:
+    """Return the largest rms error of the position channels, in words.
+
+    Lengths come first, then angles. Of channels of other kinds, whose units do not compare, it is the error of the
+    channel with the largest multiple of its noise.
+
+    Args:
+        evaluation: Errors of a machine.
+    """
+    errors = evaluation.channels
+    measured = {channel: error.rmse for channel, error in errors.items() if error.rmse is not None}
+    if not measured:
+        return "diverges, or not measured"
+    unit_of_positions = next((u for u in ("_m", "_rad") if any(c.endswith(u) for c in measured)), None)
+    if unit_of_positions is None:
+        channel = max(measured, key=lambda c: errors[c].noise_ratio or 0.0)  # None without noise
+    else:
+        positions = [c for c in measured if c.endswith(unit_of_positions)]
+        channel = max(positions, key=lambda c: measured[c])
+    rmse = measured[channel]
+    factor, unit = readable_unit(channel, rmse)
+    return f"{number(factor * rmse)} {unit} rms at {channel}"
+
+
+def missing_forces(evaluations: Sequence[Evaluation]) -> list[str]:
+    """Return the forces that machines lack, with their unit, "" where none is known.
+
+    They are given in percent of the drives' force. If one is larger than that, the drives hardly acted, and all are
+    given in N or Nm; so they are where the commands of the drives tell no force.
+    """
+    parts = [evaluation.missing_force_percent for evaluation in evaluations]
+    forces = [evaluation.missing_force for evaluation in evaluations]
+    known = [part for part in parts if part is not None]
+    if any(forces) and (not known or max(known) > _WHOLE):
+        return ["" if force is None else f"{number(force.value)} {force.unit}" for force in forces]
+    return ["" if part is None else f"{number(part)} %" for part in parts]
+
+
+def parts_of_remainder(report: Report) -> list[str]:
+    """Return the error that is left: the largest one in mm, all in multiples of the noise, of the motion, the force."""
+    if report.left is None:
+        return []
+    motions, (force,) = report.after.percents_of_motion, missing_forces([report.after])
+    left = f"{number(report.left)} times the sensors' noise"
+    of_all = f"; over all channels {left}" if len(report.after.channels) > 1 else f", {left}"
+    parts = [largest_position_error(report.after) + of_all]
+    if motions:
+        parts.append(f"{number(max(motions))} % of the motion of the channel where that is most")
+    if force and not force.startswith("0 "):
+        parts.append(f"a missing force of {force}{' of that of the drives' * force.endswith('%')}")
+    return parts
+
+
+def remainder_in_words(report: Report) -> list[str]:
+    """Return a sentence about the error that is left in the user's terms, if it is known."""
+    parts = parts_of_remainder(report)
+    return [f"Left on the held-out runs: {'; '.join(parts)}."] if len(parts) > 1 else []

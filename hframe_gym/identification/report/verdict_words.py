@@ -1,0 +1,175 @@
+"""The verdict in a sentence, for the command, the window and the page."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...web_page import number
+from .document import STAGES, Report
+from .remainder import DIVERGES, cause_of_remainder, drifts, largest_position_error, remainder_in_words
+from .units import readable_unit
+
+# Fraction of the refitted machine's error below which that of the declared one is mentioned.
+_CLEARLY_BETTER = 0.9
+_DEVIATING = (
+    "Only {} deviate{}: the other sensors agree with the simulation, although they would show an error of the motion. "
+    "The cause lies at this sensor, its mounting or frame, or in an elastic part between it and the motors."
+)
+_BY_INSTRUMENTS = (
+    "The standard deviations come from a fit by instruments (smoothed {0} and measurements). The parameters are "
+    "those of this fit, or lie between them and those of a fit to the residual that the statistics of the {0} make "
+    "white, whichever simulate runs to which they were not fitted best."
+)
+
+
+def verdict_sentence(report: Report) -> str:
+    """Describe in words the verdict and the error on the held-out runs, which were not fitted.
+
+    The error is the simulation error in units of the sensors' noise, root mean square over the channels. If the
+    simulation drifts, the relative error of the drives' force is stated instead, if the report contains it.
+
+    Args:
+        report: Content of report.json.
+
+    Returns:
+        One or more English sentences.
+    """
+    return " ".join([*unknown_voltages(report), *undeclared_friction(report), _verdict_sentence(report)])
+
+
+def undeclared_friction(report: Report) -> list[str]:
+    """Return a sentence about friction that the motion shows and the machine file does not declare."""
+    texts = []
+    for friction in report.undeclared_friction:
+        std = "" if friction.std is None else f" +- {friction.std:.2g}"
+        share = friction.percent_of_drives
+        of_drives = "" if share is None else f" ({share:.2g} % of the drives' largest force)"
+        texts.append(f"{friction.parameter} is {number(friction.value)}{std} {friction.unit}{of_drives}")
+    if not texts:
+        return []
+    return [f"The machine has friction that its file does not declare: {', '.join(texts)}."]
+
+
+def unknown_voltages(report: Report) -> list[str]:
+    """Return sentences about the voltages that a log slower than its controller does not contain.
+
+    Args:
+        report: Content of report.json.
+
+    Returns:
+        What is missing, what that limits, and what to do; nothing if the log contains all voltages.
+    """
+    if (unknown := report.unknown_voltages) is None:
+        return []
+    positions = {c: e for c, e in unknown.errors.items() if c.endswith(("_m", "_rad"))} or unknown.errors
+    largest: dict[str, tuple[float, str]] = {}
+    for channel, error in positions.items():
+        kind = channel.rpartition("_")[2]
+        largest[kind] = max(largest.get(kind, (0.0, "")), (error, channel))
+    sizes = []
+    for error, channel in largest.values():
+        factor, unit = readable_unit(channel, error)
+        sizes.append(f"{number(factor * error)} {unit} at {channel}")
+    period = f"{1e3 * unknown.period_s:.3g} ms"
+    by_instruments = unknown.fitted_by == "instruments"
+    commands = unknown.commands
+    advice = f"log every row of the controller (every {period})"
+    if commands != "set points":
+        advice += ", or describe the drives by their set point and log that"
+    return [
+        f"The controller changes the {commands} about {unknown.changes_per_row} times between two rows of this log "
+        f"(every {period}), and the log does not contain these {commands}.",
+        f"A simulation of the held-out runs therefore errs by {' and '.join(sizes)} (rms), whatever the machine: what "
+        "changes the motion by less cannot be found.",
+        *([_BY_INSTRUMENTS.format(commands)] if by_instruments else []),
+        f"To find more, {advice}.",
+    ]
+
+
+def _verdict_sentence(report: Report) -> str:
+    """Describe the verdict and the error on the held-out runs."""
+    errors: dict[str, float | None]
+    if drifts(report):
+        unit = "% of the drives' force"
+        errors = {stage: 100.0 * (report.machines[stage].force_error or 0.0) for stage in STAGES}
+    else:
+        unit = "times the sensors' noise"
+        errors = {stage: report.machines[stage].noise_ratio for stage in STAGES}
+    before, after = (number(errors[stage], DIVERGES) for stage in ("before", "after"))
+    declared, refitted = errors["declared"], errors["before"]
+    if declared is not None and refitted is not None and declared < _CLEARLY_BETTER * refitted:
+        before += (
+            f" (with the declared parameters: {number(declared)})"  # The refit minimizes short predictions.
+        )
+    if report.verdict == "effect_found":
+        change = "rises" if (errors["after"] or 0.0) > (refitted or np.inf) else "falls"  # None: it diverges
+        pronoun = "it" if len(report.effects) == 1 else "them"
+        found = (
+            f"{found_effects(report)}. With {pronoun}, the error on the held-out runs "
+            f"{change} from {before} to {after} {unit}.{_remainder(report)}"
+        )
+        return " ".join([*remainder_in_words(report), found, *unfinished_search(report)])
+    if report.verdict == "no_effect":
+        remainder = _remainder(report)
+        start = f"No effect {'was found' if remainder else 'is missing'}: with refitted parameters, the error of the"
+        found = f"{start} declared model on the held-out runs is {before} {unit}.{remainder}"
+        return " ".join(
+            [found, *([] if remainder else remainder_in_words(report)), *unfinished_search(report)]
+        )
+    text = f"The error of the refitted model on the held-out runs is {before} {unit}, and no known effect explains it."
+    if report.plain and report.plain.delivered:
+        text += f" A plain fit of inertia and friction leaves {after} {unit}, and is delivered."
+    why = [f"Why no other verdict is given: {report.reason}."] if report.reason else []
+    parts = [
+        text,
+        *remainder_in_words(report),
+        *why,
+        *dependence_sentences(report),
+        *nearest_effects(report),
+        *unfinished_search(report),
+    ]
+    return " ".join(parts)
+
+
+def found_effects(report: Report) -> str:
+    """Return a clause that names the effects."""
+    names = ", ".join(f"{e.name.replace('_', ' ')} at {e.site}" for e in report.effects)
+    subject = "an effect" if len(report.effects) == 1 else f"{len(report.effects)} effects"
+    return f"The machine has {subject} that its model lacks: {names}"
+
+
+def nearest_effects(report: Report) -> list[str]:
+    """Return a sentence about the effects of the library that describe a part of the missing force."""
+    labels = report.hint.nearest if report.hint else []
+    return (
+        [f"The nearest effects of the library, which are no causes: {', '.join(labels)}."] if labels else []
+    )
+
+
+def unfinished_search(report: Report) -> list[str]:
+    """Return a sentence about a search that ended early."""
+    unfinished = report.unfinished
+    return [f"The search is not complete: {unfinished.reason} ({unfinished.stage})."] if unfinished else []
+
+
+def _remainder(report: Report) -> str:
+    """Return a sentence about the error that the machine of the verdict leaves, "" if it is the sensors' noise."""
+    if not (why := cause_of_remainder(report)):
+        return ""
+    error = f"{number(report.left)} times the sensors' noise ({largest_position_error(report.after)})"
+    return f" An error of {error} is left{why}"
+
+
+def dependence_sentences(report: Report) -> list[str]:
+    """Return a sentence about sensors that deviate alone, or about the variable that explains most of the force."""
+    if sensors := report.residual.sensors:
+        return [_DEVIATING.format(" and ".join(sensors), "s" if len(sensors) == 1 else "")]
+    sentences = []
+    for d in report.residual.depends_on[:1]:
+        component = d.component or d.coordinate
+        where = f"on {d.coordinate}" if component == d.coordinate else f"(most likely at {component})"
+        sentences.append(
+            f"The force that the model lacks {where} depends most on {d.variable}, which explains "
+            f"{100 * d.share:.0f} % of its variance."
+        )
+    return sentences
