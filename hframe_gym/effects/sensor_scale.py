@@ -20,6 +20,25 @@ def fits(machine: Machine) -> bool:
     return len(machine.sensors) > max(1, len(rigid_motions(machine)))
 
 
+def equivalent_site(machine: Machine, site: str, other: str) -> bool:
+    """Return whether scale errors of two sensors are the same in every recording.
+
+    So they are where both alone measure the position of a linear axis: masses and forces that are wrong by the same
+    factor make up for the difference. Belts to other coordinates, a third sensor, or a drive that follows set points
+    tell which scale is right.
+    """
+    measuring = {
+        sensor.channel: sensor for sensor in machine.sensors if sensor.sensed.component == "coordinate"
+    }
+    coordinate = measuring[site].coordinate
+    pair = {channel for channel, sensor in measuring.items() if coordinate in sensor.row}
+    alone = pair == {site, other} and all(
+        measuring[channel].of_position and len(measuring[channel].row) == 1 for channel in pair
+    )
+    free = not machine.belts and not machine.drive_laws
+    return alone and free and machine.coordinate(coordinate).kind == "linear"
+
+
 EFFECT = Effect(
     name="sensor_scale",
     site="sensor",
@@ -27,6 +46,7 @@ EFFECT = Effect(
     source="sensor calibration error",
     measurement=measurement,
     equivalent=("a pulley's radius",),
+    equivalent_site=equivalent_site,
     fits=fits,
     fits_site=Machine.measures_position,
     # From a tenth to ten times the declared scale; the search starts from errors of about 1 %.

@@ -187,6 +187,8 @@ class Effect:
         fits: Predicate (machine) -> bool: whether the machine has the components that the effect needs.
         fits_site: Predicate (machine, site) -> bool: whether the effect can act at that site.
         equivalent: Causes that no recording can distinguish from the effect, in words.
+        equivalent_site: Predicate (machine, site, other site) -> bool: whether no recording can distinguish the effect
+            at one of the sites from that at the other one.
         shared: Whether a search also tries an effect of the kind "drive" on all drives at once.
         refitted: Whether other parameter values of the machine have the same influence; a search then omits the effect,
             unless an effect of all drives changes the same voltage after it.
@@ -245,6 +247,7 @@ class Effect:
     fits: Callable[..., bool] | None = None
     fits_site: Callable[..., bool] | None = None
     equivalent: tuple[str, ...] = ()
+    equivalent_site: Callable[..., bool] | None = None
     shared: bool = False
     refitted: bool = False
     against: str = ""
@@ -305,6 +308,19 @@ class Effect:
             "sensor": machine.output_channels,
             "machine": ("machine",),
         }[self.site]
+
+    def is_equivalent(self, machine: Components, site: str, cause: str) -> bool:
+        """Return whether no recording of a machine can distinguish the effect from another cause.
+
+        Args:
+            machine: Machine with the effect.
+            site: Component on which the effect acts.
+            cause: Label (name@site) of another effect, or words such as those of `equivalent`.
+        """
+        name, _, other = cause.partition("@")
+        if self.equivalent_site is None or name != self.name:
+            return cause in self.equivalent
+        return self.equivalent_site(machine, site, other)
 
     @property
     def replaces_model_part(self) -> bool:

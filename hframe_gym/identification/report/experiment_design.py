@@ -114,8 +114,8 @@ def design_discriminating_experiment(
         current: Fit of the machine with all selected effects, among them the identified one.
         corrected: The same machine with the covariance of its parameters.
         label: Label (name@component) of the identified effect.
-        rivals: Rivals with fitted parameters, best first. Those that add coordinates (structural effects) and those
-            that the machine already has are not considered.
+        rivals: Rivals with fitted parameters, best first. Those that add coordinates (structural effects), those that
+            the machine already has, and those that no recording can distinguish are not considered.
         data: Runs that were fitted.
 
     Returns:
@@ -123,8 +123,15 @@ def design_discriminating_experiment(
         rival remains, if the machine with the rival diverges, or if `separate_machines` finds no run.
     """
     present = {e.label: e for e in current.machine.effects}
-    alternatives = [r for r in rivals if r.label not in present and not r.definition.structure]
-    if not alternatives or present[label].definition.structure:
+    effect = present[label]
+    alternatives = [
+        r
+        for r in rivals
+        if r.label not in present
+        and not r.definition.structure
+        and not effect.definition.is_equivalent(current.machine, effect.site, r.label)
+    ]
+    if not alternatives or effect.definition.structure:
         return None
     rival_fit = fit_in_place_of(current, label, alternatives[0], data)
     if not math.isfinite(rival_fit.cost):

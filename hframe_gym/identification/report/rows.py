@@ -86,6 +86,7 @@ def effect_rows(report: Report, machine: Machine) -> list[EffectRow]:
     for e in sorted(report.effects, key=lambda e: -e.held_out_gain):
         definition = definitions[f"{e.name}@{e.site}"]
         table = definition.family == TABLE_FAMILY
+        equivalent = [r for r in e.rivals if definition.is_equivalent(machine, e.site, r)]
         parameters = [
             ParameterRow(
                 name=key,
@@ -106,8 +107,8 @@ def effect_rows(report: Report, machine: Machine) -> list[EffectRow]:
                 if e.size is None
                 else f"Its force is {number(100 * e.size)} % of the drives' force (rms).",
                 gain=_gain_sentence(e.held_out_gain),
-                rivals=[r for r in e.rivals if r not in definition.equivalent],
-                equivalent=[r for r in e.rivals if r in definition.equivalent],
+                rivals=[r for r in e.rivals if r not in equivalent],
+                equivalent=equivalent,
             )
         )
     return rows

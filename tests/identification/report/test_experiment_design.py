@@ -21,6 +21,7 @@ from hframe_gym.identification import (
 )
 from hframe_gym.identification.fit.covariance import with_uncertainty
 from hframe_gym.identification.predict.prediction import SIMULATION
+from hframe_gym.identification.report import experiment_design
 from hframe_gym.identification.report.experiment_design import (
     MINIMUM_SIGMA,
     ExperimentDesign,
@@ -121,6 +122,50 @@ def test_rival_of_a_fit_is_fitted_and_separated() -> None:
     assert design is not None
     assert design.separates == LABELS
     assert design_discriminating_experiment(fitted, corrected, LABELS[0], (), data) is None
+
+
+def with_sensors(machine: Machine, *channels: str) -> Machine:
+    """Return a machine with more sensors of the position of its first coordinate."""
+    first = machine.sensors[0]
+    more = [dataclasses.replace(first, channel=channel) for channel in channels]
+    return machine.replace(sensors=(*machine.sensors, *more))
+
+
+@pytest.mark.parametrize(
+    ("machine", "equivalent"),
+    [
+        (with_sensors(AXIS, "tape_m"), True),
+        (with_sensors(AXIS, "tape_m", "ruler_m"), False),  # two of three agree
+        (with_sensors(BUILTIN_MACHINES["belt-axis"](), "tape_m"), False),  # the motor has an encoder
+    ],
+)
+def test_the_scales_of_two_sensors_of_one_axis_are_the_same_in_every_recording(
+    machine: Machine, equivalent: bool
+) -> None:
+    """A run that decides between them had been promised."""
+    scale = EFFECTS["sensor_scale"]
+    assert scale.is_equivalent(machine, "x_m", "sensor_scale@tape_m") == equivalent
+    assert scale.is_equivalent(machine, "x_m", "a pulley's radius")
+    assert not scale.is_equivalent(machine, "x_m", "sensor_delay@tape_m")
+
+
+@pytest.mark.parametrize(("channels", "designed"), [(("tape_m",), False), (("tape_m", "ruler_m"), True)])
+def test_no_experiment_is_designed_where_no_recording_can_decide(
+    monkeypatch: pytest.MonkeyPatch, channels: tuple[str, ...], designed: bool
+) -> None:
+    """The fit of the rival may be stuck in another minimum, so that a difference is predicted."""
+    machine = with_sensors(AXIS, *channels).with_effects(EFFECTS["sensor_scale"].at("x_m", g=0.02))
+    rival = EFFECTS["sensor_scale"].at("tape_m", g=-0.02)
+    time_s = np.arange(400) * 2e-3
+    inputs = np.where(time_s > 0.2, 1.0, 0.0)[:, None]
+    data = prepare([Recording("run", time_s, inputs, simulate(machine, time_s, inputs).outputs)], machine)
+    fitted = fit(machine, default_free_parameters(machine), data, SIMULATION, iterations=1)
+    promised: list[tuple[str, str]] = []
+    monkeypatch.setattr(
+        experiment_design, "separate_machines", lambda first, second, labels, data: promised.append(labels)
+    )
+    design_discriminating_experiment(fitted, machine, "sensor_scale@x_m", (rival,), data)
+    assert promised == [("sensor_scale@x_m", "sensor_scale@tape_m")] * designed
 
 
 def test_written_file_is_an_input_of_simulate(experiment: ExperimentDesign, tmp_path: Path) -> None:
