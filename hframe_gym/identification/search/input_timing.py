@@ -76,14 +76,16 @@ def with_input_timing(
     if not likelihood_loss(current, data) < likelihood_loss(after, data):
         return outcome
     log("searching for a delay or lag of the drives")
-    trials = simplest_first(list(_trials(current, data)), current, criteria)
+    # A delay and a lag explain nearly the same: incomplete fits would decide which is selected, and which a rival.
+    converged = [converge(trial, data, thorough=False) for trial in _trials(current, data)]
+    trials = simplest_first(converged, current, criteria)
     if not trials:
         return outcome
-    best = converge(trials[0], data, thorough=False)
+    best = trials[0]
     effect = best.machine.effects[-1]
     extended = polish(continue_fit(best, data, after.bandwidth), data)
     gain = (after.cost - extended.cost) / data.count
-    rivals = close_rivals([best, *trials[1:]], current, data, criteria)
+    rivals = close_rivals(trials, current, data, criteria)
     added = SelectedEffect(extended.machine.effects[-1], gain, after.machine, rivals)
     evidence = TimingEvidence(
         search=(after.cost, extended.cost),

@@ -30,12 +30,15 @@ class Script:
         self.variance, self.confirmed, self.fault = 1.0, 1.0, ""
         self.held_out_gain = 0.2
         self.lag: float | None = None  # chi-squared with a lag instead of the delay
+        self.converged: dict[str, Fit] = {}  # what the fit of a trial ends with, by the effect's label
         self.lines: list[str] = []
         replaced = {
             "refine_dataset": lambda data, machine, reference=None: data,
             "continue_fit": self.fitted,
             "polish": lambda fitted, data: fitted,
-            "converge": lambda trial, data, thorough: trial,
+            "converge": lambda trial, data, thorough: self.converged.get(
+                trial.machine.effects[-1].label, trial
+            ),
             "likelihood_loss": lambda fitted, data: fitted.chi2,
             "long_run_variance": lambda fitted, label, data: LongRunVariance(self.variance),
             "leave_one_out_gain": lambda a, b, data: self.confirmed * (a.cost - b.cost),
@@ -93,6 +96,25 @@ def test_delays_and_lags_of_the_library() -> None:
 def test_an_equally_good_lag_is_its_rival(script: Script) -> None:
     script.lag = 9.01
     assert script.run().selected[1].rivals == ("electrical_lag@motor",)
+
+
+@pytest.mark.parametrize(
+    ("lag", "selected_one", "rivals"),
+    [
+        (9.01, "input_delay@drives", ("electrical_lag@motor",)),
+        (9.5, "input_delay@drives", ()),
+        (8.5, "electrical_lag@motor", ()),
+    ],
+)
+def test_complete_fits_decide_between_a_delay_and_a_lag(
+    script: Script, lag: float, selected_one: str, rivals: tuple[str, ...]
+) -> None:
+    """Few iterations had left the lag at 9.9, or at 8.99."""
+    for incomplete in (9.9, 8.99):
+        script.lag = incomplete
+        script.converged = {"electrical_lag@motor": fit_with(PUSH, LAG, chi2=lag, bandwidth=WIDE)}
+        chosen = script.run().selected[1]
+        assert (chosen.effect.label, chosen.rivals) == (selected_one, rivals)
 
 
 @pytest.mark.parametrize(
