@@ -124,6 +124,12 @@ def parameters_at_limit(machine: Machine, declared: Machine) -> dict[str, str]:
     return dict(sorted(described.items(), key=lambda item: not _is_known(item[0])))
 
 
+def _is_limited(parameter: FreeParameter, value: float) -> bool:
+    """Return whether a limit of the fit determines a value; a plain fit, which has none, may lie beyond it."""
+    theta = parameter.theta(value)
+    return parameter.at_limit(theta) and not parameter.beyond_limit(theta)
+
+
 def _damping_ratio(parameter: FreeParameter, machine: Machine, declared: Machine) -> tuple[str, float] | None:
     """Return the words for the damping to which a parameter belongs, and its ratio to the declared one.
 
@@ -152,7 +158,7 @@ def parameter_doubts(machine: Machine, declared: Machine) -> dict[str, list[str]
 
     The reasons are:
 
-    - The value is at a bound or at the limit of the fit.
+    - The value is at a bound or at the limit of the fit. One beyond it, of a fit without limits, is not doubted.
     - The data determine only weighted sums with other parameters. The following reasons are then not given.
     - The standard deviation is above 20 % of the value (of a phase: 0.3 rad), or above 60 % of that of the prior, so
       that the declared value determines the parameter more than the data do.
@@ -170,8 +176,9 @@ def parameter_doubts(machine: Machine, declared: Machine) -> dict[str, list[str]
         return {}
     doubts: dict[str, list[str]] = {name: [] for name in machine.uncertainty.names}
     _add_bound_doubts(machine, doubts)
-    for name in parameters_at_limit(machine, declared).keys() & doubts.keys():
-        doubts[name].append("at the limit of the fit")
+    for parameter in default_free_parameters(declared):
+        if parameter.name in doubts and _is_limited(parameter, machine.parameters[parameter.name]):
+            doubts[parameter.name].append("at the limit of the fit")
     separable = dict(doubts)
     for group in inseparable_parameters(machine, declared):
         for name in group.names:

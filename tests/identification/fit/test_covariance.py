@@ -175,6 +175,15 @@ def test_a_mass_at_the_limit_of_the_fit_is_reported(axis: Machine) -> None:
     assert parameters_at_limit(axis.replace({"x.mass": 3.2 * axis.parameters["x.mass"]}), axis) == {}
 
 
+@pytest.mark.parametrize(("deviations", "doubts"), [(3.9, []), (4.0, ["at the limit of the fit"]), (5.0, [])])
+def test_only_a_limit_that_acted_is_a_doubt(axis: Machine, deviations: float, doubts: list[str]) -> None:
+    """A plain fit has no limits, so that the motion determines a value beyond 4 standard deviations of the prior."""
+    rough = axis.replace({"x.coulomb": axis.parameters["x.coulomb"] * np.exp(deviations * 0.7)})
+    machine = with_standard_deviations(rough, {"x.coulomb": 0.01, "x.mass": 0.01})
+    assert parameter_doubts(machine, axis) == {"x.coulomb": doubts, "x.mass": []}
+    assert bool(parameters_at_limit(machine, axis)) == (deviations >= 4.0)
+
+
 def test_damping_far_from_the_declared_one_is_reported_once(axis: Machine) -> None:
     """Viscous friction and back-EMF act alike; a plain fit may give all of it to one of them."""
     x, (drive,) = axis.coordinates[0], axis.drives
