@@ -26,8 +26,9 @@ from ..identification import (
     default_free_parameters,
     fit,
 )
-from ..identification.fit.voltage_updates import voltage_updates
+from ..identification.fit.voltage_updates import describe_interpolation, voltage_updates
 from ..identification.predict.prediction import SEARCH_BANDWIDTH
+from ..identification.predict.voltage_errors import with_voltage_errors
 from ..machine import Machine
 from ..preparation.belt_stretch import rigid_basis
 from ..recordings import GAP_PERIODS, Recording, missing_rows, repetitions, usual_step
@@ -243,13 +244,10 @@ def check_voltages_between_rows(data: Dataset, machine: Machine) -> list[Finding
     updates = voltage_updates(held, runs, SelectionCriteria())
     if updates.per_row == 1:
         return []
-    commands = machine.commands_in_words
-    # The mean of a set point does not tell what the drive made of it.
-    means = "" if machine.drive_laws else f", or log the mean {commands} between rows"
+    interpolated = with_voltage_errors(held.machine, runs.with_updates(updates.per_row))
     message = (
-        f"{updates.describe(commands, data.period)}: identification interpolates them, but what the controller did "
-        "between the rows beyond that adds up to an error of every simulation. Log at the rate of the "
-        f"controller{means}"
+        f"{updates.describe(machine.commands_in_words, data.period)}: identification interpolates them; "
+        f"{describe_interpolation(held.machine, interpolated)}"
     )
     return [Finding("advice", "", "", message)]
 

@@ -16,12 +16,18 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
+from ...machine import Machine
 from ...preparation.dataset import Dataset
 from ..judge.criteria import SelectionCriteria
 from ..judge.error import required_gain
-from ..judge.run import UpdatesEvidence, may_change_between_rows, voltages_change_between_rows
+from ..judge.run import (
+    UpdatesEvidence,
+    interpolation_suffices,
+    may_change_between_rows,
+    voltages_change_between_rows,
+)
 from ..predict.prediction import SEARCH_BANDWIDTH, SIMULATION
-from ..predict.voltage_errors import expected_excess
+from ..predict.voltage_errors import expected_excess, simulation_error
 from .estimation import Fit, prediction_costs
 from .model_error import continue_fit, search_step
 from .slow_logs import ExcessDelay, excess_delay
@@ -32,6 +38,13 @@ _MOST_FURTHER_GAIN = 2.0
 # Changes a row: each acts late by half of what the one before does. Instruments count what lies between.
 _TRIALS = (2, 4, 8, 16)
 _MOST_UPDATES = 20  # a row; with more, voltages act earlier by less than a fortieth of a sampling period
+
+
+_ERRS = (
+    "what the controller did between the rows beyond that adds up to an error of every simulation: log at the rate of "
+    "the controller{}"
+)
+_SUFFICES = "they are so smooth that simulations err less by this than by the sensors' noise"
 
 
 class VoltageUpdates(NamedTuple):
@@ -59,6 +72,21 @@ class VoltageUpdates(NamedTuple):
             f"{1e3 * period / self.per_row:.2g} ms; chi-squared per sample {self.fitted:.3g} instead of "
             f"{self.held:.3g} with held {commands})"
         )
+
+
+def describe_interpolation(machine: Machine, data: Dataset) -> str:
+    """Describe for the user how good interpolated voltages are, and what gives better ones; a clause without a point.
+
+    Args:
+        machine: Machine, refitted to these runs.
+        data: Runs whose voltages are interpolated, with the errors that this causes (`with_voltage_errors`).
+    """
+    if interpolation_suffices(simulation_error(machine, data) / data.noise):
+        return _SUFFICES
+    # The mean of a set point does not tell what the drive made of it.
+    return _ERRS.format(
+        "" if machine.drive_laws else f", or log the mean {machine.commands_in_words} between rows"
+    )
 
 
 def other_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> VoltageUpdates | None:

@@ -107,6 +107,18 @@ def voltages_change_between_rows(evidence: UpdatesEvidence, criteria: SelectionC
     return enough and held.excess > AS_GOOD * updated.excess and evidence.better > 0.5
 
 
+def interpolation_suffices(simulated: Array) -> bool:
+    """Return whether interpolated voltages simulate a machine as well as known ones would.
+
+    Set points of a planner are smooth between the rows; the voltages of a controller that answers noise are not.
+
+    Args:
+        simulated: Errors that those of the interpolation cause in simulations, in units of the noise of each sensor,
+            dimensionless, shape (sensors,); not finite where the simulation diverges.
+    """
+    return bool(np.all(1.0 + simulated**2 < AS_GOOD))
+
+
 @dataclass(frozen=True)
 class HeldOutRun:
     """What a run that was not fitted shows of the machine.

@@ -21,7 +21,7 @@ from ..fit.lost_voltages import held_over_gaps, with_lost_voltages
 from ..fit.plain_fit import PlainFit, better_start, plain_fit
 from ..fit.run_differences import find_run_differences
 from ..fit.start_estimation import refine_dataset
-from ..fit.voltage_updates import can_show_updates, voltage_updates
+from ..fit.voltage_updates import can_show_updates, describe_interpolation, voltage_updates
 from ..judge.criteria import SelectionCriteria
 from ..judge.held_out import HeldOutEffect, refuted_effects
 from ..judge.run import MIN_RUNS_COMPARED, differs_alone, exchanges_held_out
@@ -50,8 +50,7 @@ _HINT = (
 
 
 _BETWEEN_ROWS = (
-    "In this log, {}. They are interpolated; what the controller did between the rows beyond that adds up to an error "
-    "of every simulation. Log at the rate of the controller{}. `hframe simulate` interpolates them with --updates {}."
+    "In this log, {}. They are interpolated; {}. `hframe simulate` interpolates them with --updates {}."
 )
 _PLAIN_ENDED = (
     "The plain fit ended after {:.0f} s of processor time, its part of the budget, with its best parameters so far. A "
@@ -209,9 +208,8 @@ def _search_and_check(
             changes = updates.describe(commands, data.period)
             log(f"{changes}; they are interpolated")
             fitted, validation = _interpolated(known, updates.per_row, data, held_out, log)
-            # The mean of a set point does not tell what the drive made of it.
-            means = "" if machine.drive_laws else f", or log the mean {commands} between rows"
-            messages = (*messages, _BETWEEN_ROWS.format(changes, means, updates.per_row))
+            quality = describe_interpolation(refitted.machine, fitted)
+            messages = (*messages, _BETWEEN_ROWS.format(changes, quality, updates.per_row))
         fitted = dataclasses.replace(fitted, updates_rejected=rejected.copy())
         # The errors of voltages between all rows of a long log would need too much memory.
         complete = all_rows if in_part and updates.per_row == 1 else None

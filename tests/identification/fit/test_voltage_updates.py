@@ -15,11 +15,13 @@ from hframe_gym.identification.fit import voltage_updates as voltage_updates_mod
 from hframe_gym.identification.fit.voltage_updates import (
     VoltageUpdates,
     can_show_updates,
+    describe_interpolation,
     most_updates,
     successive_changes,
     voltage_updates,
 )
 from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH, SIMULATION, predict
+from hframe_gym.identification.predict.voltage_errors import with_voltage_errors
 from hframe_gym.identification.validate.recording_simulation import simulate_recording
 from hframe_gym.machine import BUILTIN_MACHINES
 from hframe_gym.preparation.interpolated_voltages import update_times, updated_inputs
@@ -178,8 +180,30 @@ def test_check_names_voltages_that_change_between_rows() -> None:
     (finding,) = check_voltages_between_rows(slow_log(4), AXIS)
     assert finding.severity == "advice"
     assert "change between the rows" in finding.message
+    assert "log at the rate of the controller, or log the mean voltages" in finding.message
     assert "mass 0" not in finding.message
     assert check_voltages_between_rows(slow_log(1), AXIS) == []
+
+
+def test_voltages_that_a_planner_computes_need_no_faster_log() -> None:
+    """They are smooth; those of a controller answer noise."""
+    time_s = np.arange(ROWS) * PERIOD
+    logs = []
+    for seed in range(3):
+        volts = (
+            4.0
+            * np.sin(2.0 * np.pi * (1.0 + 0.3 * seed) * time_s)[:, None]
+            * np.minimum(time_s, 1.0)[:, None]
+        )
+        run = simulate(RIG, time_s, volts)
+        noise = np.random.default_rng(seed).normal(0.0, NOISE, run.outputs.shape)
+        logs.append(every(Recording(f"run_{seed}", time_s, volts, run.outputs + noise), 4))
+    smooth, answering = (
+        describe_interpolation(RIG, with_voltage_errors(RIG, data.with_updates(4)))
+        for data in (prepare(logs, AXIS), slow_log(4))
+    )
+    assert "so smooth" in smooth
+    assert "log at the rate of the controller" in answering
 
 
 def test_interpolated_inputs_keep_the_rows_and_do_not_overshoot_a_jump() -> None:

@@ -10,7 +10,7 @@ import pytest
 from hframe_gym.identification import SelectionCriteria
 from hframe_gym.identification.judge import run as judge
 from hframe_gym.identification.judge.error import FitError
-from hframe_gym.identification.judge.run import HeldOutRun
+from hframe_gym.identification.judge.run import HeldOutRun, interpolation_suffices
 
 CRITERIA = SelectionCriteria()
 
@@ -147,3 +147,13 @@ def test_voltages_change_between_rows_if_held_ones_leave_clearly_more_in_most_ru
 ) -> None:
     errors = (FitError(1e5 * chi2, 1e5, 60.0) for chi2 in (held, updated))
     assert judge.voltages_change_between_rows(judge.UpdatesEvidence(*errors, better), CRITERIA) == change
+
+
+@pytest.mark.parametrize(
+    ("simulated", "suffices"),
+    [((0.0, 0.4), True), ((0.0, 0.5), False), ((5.0, 0.1), False), ((np.nan,), False)],
+)
+def test_interpolation_suffices_where_its_errors_are_far_below_the_noise(
+    simulated: tuple[float, ...], suffices: bool
+) -> None:
+    assert interpolation_suffices(np.array(simulated)) == suffices
