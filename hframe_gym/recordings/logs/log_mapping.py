@@ -10,7 +10,8 @@ from typing import NamedTuple
 from ...errors import InputError, suggestion
 from ...machine import DRIVE_KINDS, Machine, rest_positions_per_axis
 from ...operating_system import quoted
-from ..quantities import QUANTITIES, TIME_HEADERS, normalize_unit
+from ..quantities import TIME_HEADERS, normalize_unit
+from .column_proposals import NO_PROPOSAL, proposed_headers
 from .log import ROW_NUMBER, Log, LogColumn, headers_text, plain_name
 from .measurement_units import (
     ALL_SPEED_UNITS,
@@ -18,7 +19,6 @@ from .measurement_units import (
     SPEED_UNITS,
     TIME,
     Conversion,
-    Dimension,
     UnitConversion,
     accepted_units,
     channel_dimension,
@@ -30,25 +30,8 @@ from .possible_maps import obstacle
 
 NOT_MEASURED = "none"  # given instead of a column: the output was not measured
 _EXAMPLE_RATE = "200Hz"  # in messages
-_NO_PROPOSAL = "COLUMN"  # in the proposed options, where no column may be the channel
 # Names of a column of sample times, in lower case, without blanks and punctuation; "xvalue" is that of LabVIEW.
 _TIME_NAMES = ("time", "t", "timestamp", "zeit", "elapsedtime", "seconds", "sec", "xvalue", *TIME_HEADERS)
-# First letters of columns that a message proposes for a channel: u, v for voltages; x, y, z, "pos" for lengths; "phi",
-# "angle", q, "encoder" for angles. Such a column is never assigned before the user confirms it.
-_FIRST_LETTERS: dict[Dimension, str] = {
-    "voltage": "uv",
-    "length": "xyzp",
-    "angle": "paqe",
-    "time": "t",
-    "current": "i",
-    "torque": "tm",
-    "force": "f",
-    "duty cycle": "d",
-    "linear speed": "v",
-    "angular speed": "wo",
-    "linear acceleration": "a",
-    "angular acceleration": "a",
-}
 
 
 @dataclass(frozen=True)
@@ -173,9 +156,9 @@ class _LogMapping:
         taken = [*(time.header for time in times), *assigned.values()]
         unused = [c for c in self.log.columns if c.header not in taken and c.kind != "text"]
         missing = [channel for channel in (TIME, *self.channels) if channel not in assigned]
-        proposed = self._proposed_headers(missing, unused)
+        proposed = proposed_headers(self.machine, missing, unused)
         return ProposedColumns(
-            assigned, {c: header for c, header in proposed.items() if header != _NO_PROPOSAL}
+            assigned, {c: header for c, header in proposed.items() if header != NO_PROPOSAL}
         )
 
     def _refuse_unknown_channels(self) -> None:
@@ -439,12 +422,12 @@ class _LogMapping:
             return (
                 f"{problem}. Voltages must be recorded; add a column of zeros for a drive that was not used"
             )
-        proposals = self._proposed_headers(missing, unused)
+        proposals = proposed_headers(self.machine, missing, unused)
         counters = [column for column in unused if _counts_rows(column)]
         has_no_time = TIME in missing and (
             bool(counters) or all(column.meaning.quantity or column.unit for column in unused)
         )
-        if has_no_time and proposals[TIME] == _NO_PROPOSAL:
+        if has_no_time and proposals[TIME] == NO_PROPOSAL:
             proposals[TIME] = _EXAMPLE_RATE
         advice = f"Check and add: {' '.join(_map_option(channel, proposals[channel]) for channel in missing)}"
         outputs = [channel for channel in missing if channel in self.machine.output_channels]
@@ -460,7 +443,7 @@ class _LogMapping:
                 )
         elif TIME in missing:
             advice += f"; if the log has no time column, state the rate, e.g. {TIME}={_EXAMPLE_RATE}"
-        without = [channel for channel in missing if channel != TIME and proposals[channel] == _NO_PROPOSAL]
+        without = [channel for channel in missing if channel != TIME and proposals[channel] == NO_PROPOSAL]
         return advice + self._explained_obstacle(without, unused) + self._advice_about_tool(missing)
 
     def _advice_about_tool(self, channels: Sequence[str]) -> str:
@@ -489,70 +472,6 @@ class _LogMapping:
                 if problem:
                     return f". {column.header} is {problem}"
         return ""
-
-    def _proposed_headers(self, missing: Sequence[str], unused: Sequence[LogColumn]) -> dict[str, str]:
-        """Propose the header of a column for each channel without one; "COLUMN" (`_NO_PROPOSAL`) where there is none.
-
-        Channels with the fewest candidates come first. A column of the quantity of one channel is not proposed for
-        another one to which it would be converted. If several channels compete for fewer columns, none of them gets a
-        proposal.
-        """
-        candidates = {channel: self._candidates(channel, unused) for channel in missing}
-        alike = {
-            channel: [column for column in columns if column.meaning.family == self._family(channel)]
-            for channel, columns in candidates.items()
-        }
-        claimed = [column for columns in alike.values() for column in columns]
-        for channel, columns in candidates.items():
-            candidates[channel] = alike[channel] or [column for column in columns if column not in claimed]
-        proposed: dict[str, LogColumn] = {}
-        for channel in sorted(missing, key=lambda channel: len(candidates[channel])):
-            free = [column for column in candidates[channel] if column not in proposed.values()]
-            unserved = [other for other in missing if other not in proposed and candidates[other]]
-            competitors = [other for other in unserved if set(candidates[other]) <= set(free)]
-            if free and len(competitors) <= len(free):
-                proposed[channel] = free[0]
-        return {
-            channel: proposed[channel].header if channel in proposed else _NO_PROPOSAL for channel in missing
-        }
-
-    def _candidates(self, channel: str, unused: Sequence[LogColumn]) -> list[LogColumn]:
-        """Return the columns that may be a channel, the likeliest kind only.
-
-        These are the columns with a unit of its quantity, else those that name it or count, else those with a unit that
-        can be converted to it, else those that name another quantity that can be, else those that begin with its
-        letters, else the only one. A set point is not proposed for an output.
-        """
-        possible = [column for column in unused if self._is_proposable(channel, column)]
-        accepted, dimension = accepted_units(self.machine, channel), channel_dimension(self.machine, channel)
-        with_unit = [column for column in possible if column.unit in accepted]
-        family = self._family(channel)
-        of_family = [column for column in with_unit if column.meaning.family == family]
-        named = [column for column in possible if column.meaning.quantity and column not in with_unit]
-        named_so = [column for column in named if column.meaning.family in (family, "count")]
-        letters = tuple(_FIRST_LETTERS[dimension])
-        unknown = [column for column in possible if not column.meaning.quantity and not column.unit]
-        by_letter = [column for column in unknown if plain_name(column.name).startswith(letters)]
-        only_one = unknown if len(unused) == 1 and channel != TIME else []
-        return of_family or named_so or with_unit or named or by_letter or only_one
-
-    def _family(self, channel: str) -> str:
-        """Return the family of the quantity of a channel."""
-        dimension = channel_dimension(self.machine, channel)
-        return QUANTITIES[dimension].family or dimension
-
-    def _is_proposable(self, channel: str, column: LogColumn) -> bool:
-        """Return whether a column can be a channel by its quantity, perhaps after the user has stated its unit."""
-        meaning = column.meaning
-        if channel == TIME and meaning.quantity == "row number":
-            return False  # without the rate of its steps, it is no time
-        is_output = channel in self.machine.output_channels
-        if is_output and meaning.role:
-            return False
-        if meaning.quantity == "duty cycle" and channel in self.machine.input_channels:
-            return True
-        counts_for_input = meaning.family in ("count", "row number") and not is_output
-        return not counts_for_input and not obstacle(self.machine, channel, meaning, None, scaled=False)
 
     def _if_not_measured(self, channel: str) -> str:
         """Return the sentence that says how to leave out an output, to end a message; "" for other channels."""
