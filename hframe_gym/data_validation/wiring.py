@@ -16,9 +16,9 @@ import numpy as np
 
 from ..arrays import Array
 from ..identification import Dataset, PreparedRecording
-from ..machine import Machine, rigid_motions
+from ..machine import Machine
 from ..preparation.force_balance import EXPLAINED, SPANS, Balance, explains_instead, force_balance
-from ..preparation.motion_windows import motion_windows
+from ..preparation.motion_windows import leading_motions, motion_windows
 from ..recordings import comparison_window
 from .findings import Finding
 
@@ -30,14 +30,14 @@ _TIE = 0.02  # corrections that differ by less are equally likely
 def sensor_motions(machine: Machine) -> Array:
     """Return how much each sensor's measurement changes per unit of each rigid motion.
 
-    A rigid motion stretches no belt: a carriage moves, and the pulleys follow. Without belts, one coordinate moves.
+    A rigid motion stretches no belt: a carriage moves, and the pulleys follow, or two inertias on an elastic shaft turn
+    together. Without belts, one coordinate moves.
 
     Returns:
         Change of each measurement, m or rad, per m or rad of the coordinate that leads the motion (for example x or y),
-        shape (sensors, motions), with columns in the order of `rigid_motions(machine)`.
+        shape (sensors, motions), with columns in the order of `leading_motions(machine)`.
     """
-    motions = np.array(list(rigid_motions(machine).values())).reshape(-1, len(machine.coordinates))
-    return machine.sensor_matrix @ motions.T
+    return machine.sensor_matrix @ leading_motions(machine).reshape(-1, len(machine.coordinates)).T
 
 
 def rigid_prediction(outputs: Array, channel: int, machine: Machine) -> tuple[Array, Array] | None:

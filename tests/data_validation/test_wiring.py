@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hframe_gym.data_validation import check_before_fit, check_recordings
-from hframe_gym.machine import BUILTIN_MACHINES, Machine
+from hframe_gym.machine import BUILTIN_MACHINES, Belt, Coordinate, Drive, Machine, Sensor
 from hframe_gym.recordings import Recording
 from tests.data_validation.planted_mistakes import (
     PHI1,
@@ -151,3 +151,22 @@ def test_the_sign_of_a_sensor_that_is_slower_than_the_log_is_checked(rows: int) 
     findings = check_recordings([Recording("r", time, inputs, outputs)], axis)
     assert faults(findings) == [f"fault: x_m has the wrong sign or v_V has the wrong sign: {REMEDY}"]
     assert any(f.channel == "x" and f.message.startswith("speeds up to 0.8 m/s") for f in findings)
+
+
+@pytest.mark.parametrize(("sign", "named"), [(1.0, False), (-1.0, True)])
+def test_two_inertias_on_an_elastic_shaft_turn_together(sign: float, named: bool) -> None:
+    """Above the resonance, the load moves against the motor, and the sum of both explains less of the torque."""
+    rotor, load = (Coordinate(n, m, 1e-3, 0.01, kind="rotary") for n, m in (("rotor", 5e-4), ("load", 1.5e-3)))
+    shaft = Belt("shaft", 4.0, 1.0, {"rotor": 1.0, "load": -1.0})
+    sensors = tuple(Sensor(f"{n}_rad", {n: 1.0}, 0.0, 4e-4, kind="encoder") for n in ("rotor", "load"))
+    drive = Drive("motor", "torque_Nm", "rotor", 1.0, 0.0, 1.0, 1.0, rated_voltage=0.5)
+    machine = Machine("elastic-shaft", (rotor, load), (shaft,), (drive,), sensors)
+    time_s = np.arange(3000) * 1e-3
+    phases = np.random.default_rng(1).uniform(0.0, 2.0 * np.pi, (14, 1))
+    torque = 0.09 * np.sin(2.0 * np.pi * np.geomspace(0.6, 35.0, 14)[:, None] * time_s + phases).sum(axis=0)
+    torque[time_s < 0.15] = 0.0
+    outputs = measure(machine, machine.simulate(time_s, torque[:, None]).outputs) * [1.0, sign]
+    recording = Recording("run_1", time_s, torque[:, None], outputs)
+    found = faults(check_recordings([recording], machine))
+    assert any("load_rad has the wrong sign" in line for line in found) == named
+    assert bool(found) == named

@@ -81,18 +81,25 @@ def is_enough(without: FitError, with_effect: FitError, enough: float) -> bool:
     return not without.cost - with_effect.cost < enough * without.count
 
 
-def explains(error: FitError, criteria: SelectionCriteria, *, without_effects: bool) -> bool:
+def explains(
+    error: FitError, criteria: SelectionCriteria, *, without_effects: bool, simulated: Measured
+) -> bool:
     """Return whether a machine explains the data.
 
-    A machine without effects that needs the widest observer explains nothing, although the observer leaves no error:
-    forces of unknown size are missing. Rigs with a negligible residue needed 15 to 30 rad/s.
+    A machine without effects that needs the widest observer may lack forces of unknown size, although the observer
+    leaves no error. Its simulation, which no observer corrects, shows their size; it may leave what the held-out runs
+    may. Noise that drifts, such as that of a tachometer, needs this observer as well. Rigs with a negligible residue
+    needed 15 to 30 rad/s.
 
     Args:
         error: Error at the most likely observer bandwidth.
-        criteria: Decision threshold `explained_chi2`.
+        criteria: Decision thresholds `explained_chi2` and `max_noise_ratio_explained`.
         without_effects: Whether the machine has no other effects than the declared one.
+        simulated: Function that returns chi-squared per sample of its simulation, dimensionless.
     """
-    return nearly_explains(error, criteria) and not (without_effects and error.widest)
+    if not nearly_explains(error, criteria):
+        return False
+    return not (without_effects and error.widest) or simulated() <= criteria.max_noise_ratio_explained**2
 
 
 def nearly_explains(error: FitError, criteria: SelectionCriteria) -> bool:

@@ -199,14 +199,15 @@ def is_worth_comparing_rivals(error: FitError, criteria: SelectionCriteria) -> b
     return not error.simulated and nearly_explains(error, criteria)
 
 
-def is_worth_narrower_observer(narrower: FitError, simulated: FitError, criteria: SelectionCriteria) -> bool:
-    """Return whether effects are searched for with a still narrower observer.
+def is_worth_narrower_observer(wider: FitError, simulated: FitError, criteria: SelectionCriteria) -> bool:
+    """Return whether effects are searched for with a still narrower observer, at last in simulation.
 
-    The model must nearly explain the data with it, while much is left in simulation.
+    The model must nearly explain the data with the one before, while much is left in simulation. An error of a sensor
+    that changes over the whole travel, for example, is too slow for all observers.
 
     Args:
-        narrower: Error with that observer.
+        wider: Error with the observer that was tried before.
         simulated: Error of the same machine in simulation.
         criteria: Decision threshold `explained_chi2`.
     """
-    return not narrower.simulated and narrower.chi2 < criteria.explained_chi2 <= simulated.chi2
+    return not wider.simulated and wider.chi2 < criteria.explained_chi2 <= simulated.chi2

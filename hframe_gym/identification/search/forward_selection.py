@@ -238,8 +238,9 @@ class EffectSearch:
         """Return the fit without the next effect, and trial fits with one effect each, the selected one first.
 
         An observer hides slow errors, such as those of a missing constant force. If no effect passes, the next narrower
-        one is tried; the effect must then make up for its lower likelihood. If much is left in simulation, all narrower
-        ones are tried with which the model nearly explains the data; the effect must then explain what is left.
+        one is tried; the effect must then make up for its lower likelihood. If much is left in simulation, narrower
+        ones follow, up to the simulation, as long as the model nearly explained the data with the one before; the
+        effect must then explain what is left.
         """
         self._doubted, criteria = None, self._criteria
         found = self._passing(current, required_gain(current.error, criteria), structures=True)
@@ -251,12 +252,15 @@ class EffectSearch:
         if found is not None or self.data.has_voltage_errors:
             return found
         simulated = continue_fit(current, self.data, SIMULATION)
-        while judge.is_worth_narrower_observer(narrower.error, simulated.error, criteria):
+        wider = narrower
+        while judge.is_worth_narrower_observer(wider.error, simulated.error, criteria):
             found = self._passing(narrower, required_gain(narrower.error, criteria))
             trials = [continue_fit(found[1][0], self.data, SIMULATION)] if found else []
             if judge.explains_alone(simulated.error, best_error(trials), criteria):
                 return found
-            narrower = narrower_observer(narrower, self.data)
+            if has_narrowest_observer(narrower, self.data):
+                return None
+            wider, narrower = narrower, narrower_observer(narrower, self.data)
         return None
 
     def _passing(self, current: Fit, enough: float, *, structures: bool = False) -> Step | None:

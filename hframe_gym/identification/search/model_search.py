@@ -499,7 +499,13 @@ class ModelSearch:
     def _explains(self, after: Fit) -> bool:
         """Return whether a fit explains the runs (`judge.error.explains`)."""
         bare = after.machine.effects == self.before.machine.effects
-        return explains(after.error, self._criteria, without_effects=bare)
+        count = self._data.count
+        return explains(
+            after.error,
+            self._criteria,
+            without_effects=bare,
+            simulated=lambda: self._simulated_cost(after) / count,
+        )
 
 
 def fitted_to_all_rows(

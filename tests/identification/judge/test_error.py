@@ -41,20 +41,25 @@ def test_a_gain_is_compared_per_sample(after: float, enough: bool) -> None:
 
 
 @pytest.mark.parametrize(
-    ("chi2", "bandwidth", "without_effects", "explained"),
+    ("chi2", "bandwidth", "simulated", "without_effects", "explained"),
     [
-        (1.49, 0.0, True, True),
-        (1.51, 0.0, True, False),
-        (1.2, 30.0, True, True),
-        (1.2, 60.0, True, False),  # the observer corrects a missing force of any size
-        (1.2, 60.0, False, True),
-        (1.51, 60.0, False, False),
+        (1.49, 0.0, 1.49, True, True),
+        (1.51, 0.0, 1.51, True, False),
+        (1.2, 30.0, 900.0, True, True),
+        (1.2, 60.0, 900.0, True, False),  # the observer corrects a missing force of any size
+        (1.06, 60.0, 1.6, True, True),  # the noise of a tachometer drifts; nothing is missing
+        (1.2, 60.0, 4.1, True, False),
+        (1.2, 60.0, float("nan"), True, False),  # the simulation diverges
+        (1.2, 60.0, 900.0, False, True),
+        (1.51, 60.0, 1.6, False, False),
     ],
 )
 def test_what_explains_the_data(
-    chi2: float, bandwidth: float, without_effects: bool, explained: bool
+    chi2: float, bandwidth: float, simulated: float, without_effects: bool, explained: bool
 ) -> None:
-    assert explains(error(chi2, bandwidth), CRITERIA, without_effects=without_effects) == explained
+    what = error(chi2, bandwidth)
+    found = explains(what, CRITERIA, without_effects=without_effects, simulated=lambda: simulated)
+    assert found == explained
 
 
 @pytest.mark.parametrize(("chi2", "only_noise"), [(1.005, True), (1.02, False)])

@@ -10,7 +10,9 @@ from types import SimpleNamespace
 import pytest
 
 from hframe_gym.effects import EFFECTS
-from hframe_gym.identification.fit.estimation import describe_gain
+from hframe_gym.identification.fit.estimation import Fit, describe_gain
+from hframe_gym.identification.predict.prediction import SIMULATION
+from hframe_gym.identification.search import forward_selection
 from hframe_gym.machine import AppliedEffect
 from tests.identification.scripted_fits import (
     DATA,
@@ -92,6 +94,32 @@ def test_structural_effects_are_tried_again_beside_each_further_effect(scripted:
     scripted.residue = {9.0: 1.0}
     _, effects = scripted.search().run(fit_with(chi2=10.0))
     assert [s.effect for s in effects] == [PUSH, FRAME]
+
+
+@pytest.mark.parametrize(
+    ("with_3_rad_s", "left", "found"),
+    [(1.2, 1.0, True), (1.2, 1.5, False), (1.6, 1.0, False)],
+    ids=["explains the simulation", "leaves a quarter", "nearly unexplained before"],
+)
+def test_what_all_observers_hide_is_searched_for_in_simulation(
+    scripted: Scripted, monkeypatch: pytest.MonkeyPatch, with_3_rad_s: float, left: float, found: bool
+) -> None:
+    """An off-center encoder disk whose period is longer than the travel left 2.96 in simulation and 1.2 at 3 rad/s."""
+    narrower = {60.0: (3.0, with_3_rad_s), 3.0: (SIMULATION, 3.0)}
+
+    def narrower_observer(fitted: Fit, data: object) -> Fit:
+        bandwidth, chi2 = narrower[fitted.bandwidth]
+        return fit_with(chi2=chi2, bandwidth=bandwidth)
+
+    monkeypatch.setattr(forward_selection, "narrower_observer", narrower_observer)
+    monkeypatch.setattr(
+        forward_selection,
+        "continue_fit",
+        lambda fitted, data, bandwidth: fitted if fitted.machine.effects else fit_with(chi2=3.0),
+    )
+    scripted.trials = [[], [], [], [fit_with(PUSH, chi2=left)]]
+    _, effects = scripted.search().run(fit_with(chi2=1.05, bandwidth=60.0))
+    assert [s.effect for s in effects] == ([PUSH] if found else [])
 
 
 @pytest.mark.parametrize(
