@@ -26,7 +26,7 @@ from ..recordings import Recording
 from ..registry import load_plugins
 from .budget import COMPARISON_PART, DEFAULT_SECONDS, LAST_STAGE_END, Budget, BudgetEndedError
 from .evidence.tried_effects import Log
-from .fit.run_differences import describe_run_differences
+from .fit.run_differences import RunDifferencesInWords, describe_run_differences
 from .judge.criteria import SelectionCriteria
 from .report.assembly import build_result
 from .report.result import IdentificationResult
@@ -115,15 +115,16 @@ def identify(
     delivered = no_worse(evaluated, found.plain, log, budget)
     outcome = delivered.evaluated.outcome
     remarks = (*found.remarks, *delivered.remarks)
+    differences = RunDifferencesInWords()
     puzzling = bool(remarks) or outcome.verdict == "unexplained"
     if puzzling and not found.outcome.unfinished and budget.has_time(COMPARISON_PART):
         runs = representative_part(found.comparable_runs(session.data), machine, every_run=True)
         # From the machine of the search: the one that is delivered may describe what the runs do not have in common.
         with suppress(BudgetEndedError), budget.limiting(LAST_STAGE_END):
-            remarks += describe_run_differences(evaluated.outcome.after, runs, criteria)
+            differences = describe_run_differences(evaluated.outcome.after, runs, criteria)
 
     # Report.
-    result = build_result(delivered, found, remarks, budget)
+    result = build_result(delivered, found, remarks, differences, budget)
     log(f"verdict: {result.verdict}")
     for s in (s for s in result.effects if s.rivals):
         log(f"these runs cannot distinguish {s.effect.label} from {', '.join(s.rivals)}")

@@ -180,7 +180,21 @@ def find_run_differences(fitted: Fit, data: Dataset, criteria: SelectionCriteria
     return min(found, key=lambda each: each.chi2, default=None)
 
 
-def describe_run_differences(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> tuple[str, ...]:
+class RunDifferencesInWords(NamedTuple):
+    """What a quantity with another value in single runs, or in all of them, says about the runs.
+
+    Attributes:
+        sentences: One sentence; none if there is no such quantity.
+        explain: Whether one machine explains all runs with it, so that their error depends on nothing else.
+    """
+
+    sentences: tuple[str, ...] = ()
+    explain: bool = False
+
+
+def describe_run_differences(
+    fitted: Fit, data: Dataset, criteria: SelectionCriteria
+) -> RunDifferencesInWords:
     """Describe the quantity that explains all runs with values of their own, or with a common one beyond its limits.
 
     Args:
@@ -189,17 +203,18 @@ def describe_run_differences(fitted: Fit, data: Dataset, criteria: SelectionCrit
         criteria: Decision thresholds for what explains the data.
 
     Returns:
-        One sentence about a quantity that differs between the runs; if there is none, about a quantity that needs the
+        A sentence about a quantity that differs between the runs; if there is none, about a quantity that needs the
         same other value in all runs. If no quantity explains the runs, one about the run that alone needs another value
         of a quantity, provided that this explains nearly all of the error; otherwise nothing.
     """
     found = _compared(fitted, data, criteria)
     explaining = [each for each in found if each.explains]
     if explaining:
-        return (str(min(explaining, key=lambda each: (not each.differs, each.chi2))),)
-    best = min(found, key=lambda each: each.chi2, default=None)
-    alone = best and judge.differs_alone(best.different_run, best.chi2, best.chi2_before)
-    return (str(best),) if alone else ()
+        best = min(explaining, key=lambda each: (not each.differs, each.chi2))
+        return RunDifferencesInWords((str(best),), explain=True)
+    nearest = min(found, key=lambda each: each.chi2, default=None)
+    alone = nearest and judge.differs_alone(nearest.different_run, nearest.chi2, nearest.chi2_before)
+    return RunDifferencesInWords((str(nearest),) if alone else ())
 
 
 def best_by_run(fitted: Fit, data: Dataset) -> RunDifferences | None:

@@ -61,7 +61,7 @@ class VerdictEvidence:
         """The error that is left, in numbers."""
         force = (
             f" and {100 * self.lacking:.2g} % of the drives' force are"
-            if math.isfinite(self.lacking)
+            if 0.0 < self.lacking < math.inf  # 0: less than the noise of the sensors shows
             else " is"
         )
         if not math.isfinite(self.left):
@@ -168,7 +168,7 @@ def contradiction_of_names(evidence: VerdictEvidence, explained: bool, criteria:
     if measured <= limit:
         return ""
     return (
-        f"{100 * min(measured, 1.0):.2g} % of the squared error remain with the effects ({evidence.in_words}); effects "
+        f"{100 * min(measured, 1.0):.3g} % of the squared error remain with the effects ({evidence.in_words}); effects "
         f"are named if at most {100 * limit:.2g} % remain"
     )
 

@@ -16,6 +16,7 @@ from ..fit.covariance import with_uncertainty
 from ..fit.estimation import Fit
 from ..fit.force_sizes import drive_force, effect_force
 from ..fit.missing_force import Dependence
+from ..fit.run_differences import RunDifferencesInWords
 from ..fit.start_estimation import refine_dataset
 from ..judge.verdict import final_verdict
 from ..predict.voltage_errors import simulation_error
@@ -35,7 +36,11 @@ _MAX_DEPENDENCES = 6  # Variables that the report lists for the residual force.
 
 
 def build_result(
-    delivered: Delivered, found: CheckedOutcome, remarks: tuple[str, ...], budget: Budget
+    delivered: Delivered,
+    found: CheckedOutcome,
+    remarks: tuple[str, ...],
+    differences: RunDifferencesInWords,
+    budget: Budget,
 ) -> IdentificationResult:
     """Collect the result of what an identification delivers, and propose an experiment.
 
@@ -43,6 +48,8 @@ def build_result(
         delivered: The outcome with its machines and their errors.
         found: Outcome of the search, with the held-out runs that contradict the fitted ones.
         remarks: What the user should know about the runs, one sentence each.
+        differences: What differs between the runs. If it explains them, the missing force depends on no variable: what
+            it seems to depend on, and the effects that come near it, only go with the runs.
         budget: Budget of the identification.
     """
     evaluated = delivered.evaluated
@@ -69,7 +76,9 @@ def build_result(
         gains={s.effect.label: held_out_gain(s, corrected, validation, after.bandwidth) for s in selected},
         considered=tuple(_rejected(c, data, validation, after.bandwidth) for c in outcome.considered),
         sizes={s.effect.label: effect_force(corrected, s.effect, data) / drives for s in selected},
-        dependence=tuple(rank_dependences(before.machine, part)[:_MAX_DEPENDENCES]),
+        dependence=()
+        if differences.explain
+        else tuple(rank_dependences(before.machine, part)[:_MAX_DEPENDENCES]),
         white=bool(white_sensors(corrected, validation).all()),
         fitted=data,
         held_out=validation,
@@ -78,6 +87,7 @@ def build_result(
         criteria=evaluated.test.criteria,
         excluded=(
             *remarks,
+            *differences.sentences,
             *_unexcited_effects(selected, corrected, validation, after.bandwidth),
             *found.messages,
         ),

@@ -154,9 +154,9 @@ def test_a_unit_that_all_runs_share_is_described_as_a_common_factor():
     data = prepare(runs, motor)
     fitted = fit(motor, default_free_parameters(motor), data, SEARCH_BANDWIDTH)
     assert find_run_differences(fitted, data, SelectionCriteria()) is None
-    assert not any(
-        "The runs differ" in line for line in describe_run_differences(fitted, data, SelectionCriteria())
-    )
+    described = describe_run_differences(fitted, data, SelectionCriteria())
+    assert not any("The runs differ" in line for line in described.sentences)
+    assert described.explain
 
 
 def test_an_effect_that_all_runs_have_is_no_difference():
@@ -206,8 +206,9 @@ def test_a_run_that_differs_is_told_although_an_effect_is_missing_too(gain, told
     data = prepare(of_different_gain(cogged, gain), AXIS)
     fitted = fit(AXIS, default_free_parameters(AXIS), data, SEARCH_BANDWIDTH)
     assert find_run_differences(fitted, data, SelectionCriteria()) is None
-    lines = describe_run_differences(fitted, data, SelectionCriteria())
+    lines, explain = describe_run_differences(fitted, data, SelectionCriteria())
     assert len(lines) == told
+    assert not explain
     assert all("the voltage of motor: 0.7" in line and "though not only noise" in line for line in lines)
 
 
@@ -217,6 +218,7 @@ def test_identify_names_the_payload_and_no_effect():
     result = identify(record(with_payload, [0.0, 0.3, 0.0, 0.6, 0.3]), HFRAME, log=lines.append)
     assert result.verdict == "unexplained"
     assert not result.effects
+    assert result.hint is None
     assert any(
         "if the payload has a value of its own in each run" in warning for warning in result.run_warnings
     )
