@@ -39,7 +39,6 @@ def answers(
     """Answer the five questions that a reader of the page has first.
 
     Args:
-        saved: The result.
         effects: Effects that were found.
         runs: Names of the held-out runs, the worst first.
         step: The first of the next steps, in words.
@@ -107,11 +106,7 @@ def _certainty(saved: SavedResult, effects: Sequence[EffectRow]) -> list[str]:
 
 
 def removed_by_effects(report: Report) -> list[str]:
-    """Return how much of the simulation error the effects remove, and why it is little, if it is.
-
-    Args:
-        report: Content of report.json.
-    """
+    """Return how much of the simulation error the effects remove, and why it is little, if it is."""
     if (explained := report.explained) is None:
         return []
     removed = (

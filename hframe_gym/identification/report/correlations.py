@@ -88,7 +88,6 @@ def error_correlations(
     """Compute the correlations of the errors of the delivered machine in a run.
 
     Args:
-        curves: Curves of the result.
         name: Name of the run.
         channels: Names of the output channels.
         inputs: Names of the input channels.

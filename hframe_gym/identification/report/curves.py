@@ -43,8 +43,6 @@ def run_ratio(
     """Return the simulation error of a held-out run over the sensors' noise, root mean square over the channels.
 
     Args:
-        report: Content of report.json.
-        curves: Curves of the result.
         run: Name of the run.
         stage: Machine: "declared", "before", "after" or "plain".
 
@@ -65,12 +63,7 @@ def run_ratio(
 
 
 def worst_first(report: Report, curves: ResultCurves) -> list[str]:
-    """Return the names of the held-out runs by decreasing error of the delivered machine.
-
-    Args:
-        report: Content of report.json.
-        curves: Curves of the result.
-    """
+    """Return the names of the held-out runs by decreasing error of the delivered machine."""
     ratios = {run: run_ratio(report, curves, run) for run in report.runs.held_out}
     return sorted(ratios, key=lambda run: -(ratios[run] or 0.0))
 
@@ -81,10 +74,6 @@ def page_curves(report: Report, curves: ResultCurves) -> dict[str, Any]:
     Every run and channel has one set of rows for all its curves: the first of each interval of time, and those with the
     smallest and the largest error of the refitted and of the corrected machine, so that no peak is lost. The number of
     intervals is such that all curves together have at most 1.5 MB, if each keeps 200 rows.
-
-    Args:
-        report: Content of report.json.
-        curves: Curves of the result.
 
     Returns:
         "machines": "key", "label" and "color" of each machine, and whether it is "shown" at first. "runs": worst first,

@@ -339,9 +339,6 @@ class Report(ReportPart):
 def compared_machines(report: Report) -> dict[str, str]:
     """Return the machines that the report compares, with their labels, in the order in which they are shown.
 
-    Args:
-        report: Content of report.json.
-
     Returns:
         Labels by key of the machine: "declared"; "plain", if there is a plain fit; "before", the refitted machine; and
         "after", the machine that is delivered, if it is not the refitted one.

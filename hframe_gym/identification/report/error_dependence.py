@@ -28,8 +28,6 @@ def error_panels(report: Report, curves: ResultCurves, machine: Machine) -> list
     Position and speed are measured, so that they do not depend on the machine that is judged. All held-out runs count.
 
     Args:
-        report: Content of report.json.
-        curves: Curves of the result.
         machine: Identified machine.
 
     Returns:

@@ -57,7 +57,6 @@ def next_steps(
     """Return what to do next, the most important step first.
 
     Args:
-        saved: The result.
         folder: Folder of the result that the commands name.
         effects: Effects that were found.
         runs: Names of the held-out runs, the worst first.

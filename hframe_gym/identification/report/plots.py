@@ -51,8 +51,6 @@ def report_panels(
     interpolated over one variable), and the positions, velocities and voltages that the recordings cover.
 
     Args:
-        report: Content of report.json.
-        curves: Curves of the result.
         machine: Identified machine.
         declared: Machine as given. Effects that only the identified machine has are drawn, named as causes or not.
         runs: Names of the held-out runs, those first whose errors are drawn over time. Default: as in the report.

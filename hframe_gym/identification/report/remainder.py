@@ -26,9 +26,6 @@ DIVERGES = "infinitely many (its simulation diverges)"
 def tone_of_remainder(report: Report) -> Literal["good", "neutral", "warning"]:
     """Return the tone of the page, which follows from the error that is left and not from the names that were found.
 
-    Args:
-        report: Content of report.json.
-
     Returns:
         "good" if the error is at most `max_noise_ratio_explained` times the noise, and beyond it at most
         `max_motion_error` of the motion of every channel, and the verdict is not "unexplained"; otherwise "neutral" if
@@ -47,11 +44,7 @@ def tone_of_remainder(report: Report) -> Literal["good", "neutral", "warning"]:
 
 
 def drifts(report: Report) -> bool:
-    """Return whether the simulation drifts, so that the error of the drives' force describes the machine better.
-
-    Args:
-        report: Content of report.json.
-    """
+    """Return whether the simulation drifts, so that the error of the drives' force describes the machine better."""
     ratio = report.after.noise_ratio
     if report.after.force_error is None or ratio is None or ratio <= _MAX_NOISE_RATIO:
         return False

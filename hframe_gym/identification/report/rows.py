@@ -78,7 +78,6 @@ def effect_rows(report: Report, machine: Machine) -> list[EffectRow]:
     """Return the effects, the one with the largest held-out gain first.
 
     Args:
-        report: Content of report.json.
         machine: Identified machine.
     """
     definitions = {e.label: e.definition for e in machine.effects}
@@ -167,7 +166,6 @@ def inseparable_rows(report: Report, machine: Machine) -> list[InseparableRow]:
     """Return the parameters that the data do not separate, with what they determine of each set.
 
     Args:
-        report: Content of report.json.
         machine: Identified machine.
     """
     rows = []

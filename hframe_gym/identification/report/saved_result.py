@@ -30,7 +30,6 @@ class SavedResult:
     """A result read from its folder.
 
     Attributes:
-        report: Content of report.json.
         machine: Identified machine with the selected effects.
         declared: Machine as declared.
         curves: Curves of the plots.

@@ -28,9 +28,6 @@ def verdict_sentence(report: Report) -> str:
     The error is the simulation error in units of the sensors' noise, root mean square over the channels. If the
     simulation drifts, the relative error of the drives' force is stated instead, if the report contains it.
 
-    Args:
-        report: Content of report.json.
-
     Returns:
         One or more English sentences.
     """
@@ -52,9 +49,6 @@ def undeclared_friction(report: Report) -> list[str]:
 
 def unknown_voltages(report: Report) -> list[str]:
     """Return sentences about the voltages that a log slower than its controller does not contain.
-
-    Args:
-        report: Content of report.json.
 
     Returns:
         What is missing, what that limits, and what to do; nothing if the log contains all voltages.
