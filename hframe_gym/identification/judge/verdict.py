@@ -39,6 +39,9 @@ class VerdictEvidence:
         reduction: By how much the effects reduce the squared error of predictions / by how much they do if they are
             right, which is the square of their change of the predictions, dimensionless.
         voltages_known: Whether the log contains all voltages.
+        predicted: Chi-squared per sample of predictions with the effects, of what noise and unknown voltages cause: the
+            larger one of the widest observer and the one that judges effects. Only of a log that is slower than its
+            controller.
     """
 
     left: float
@@ -50,6 +53,7 @@ class VerdictEvidence:
     voltages_known: bool = True
     remaining_fast: float = math.inf
     reduction: float = 0.0
+    predicted: float = 1.0
 
     @property
     def remaining_simulation(self) -> float:
@@ -105,20 +109,31 @@ def error_beyond_noise(motion: float, left: float) -> float:
     return motion * math.sqrt(part)
 
 
+# Factor within which the size of unknown voltages is known, from the third differences of the logged ones.
+_SIZE_OF_VOLTAGES = 2.0
+
+
 def contradiction_of_no_effect(evidence: VerdictEvidence, criteria: SelectionCriteria) -> str:
     """Return why the held-out runs contradict that no effect is missing, or "" if they do not.
 
+    In a log that is slower than its controller, the simulation error is compared with that of noise and unknown
+    voltages, whose size is known within a factor of two. Predictions, in which they do not add up, must be explained as
+    well.
+
     Args:
         evidence: What the held-out runs say; the machine of the verdict is "after".
-        criteria: Decision thresholds `max_noise_ratio_explained` and `max_motion_error`.
+        criteria: Decision thresholds `max_noise_ratio_explained`, `explained_chi2` and `max_motion_error`.
 
     Returns:
         A clause.
     """
-    if not evidence.left <= criteria.max_noise_ratio_explained:
+    explained = criteria.max_noise_ratio_explained * (1.0 if evidence.voltages_known else _SIZE_OF_VOLTAGES)
+    if not evidence.left <= explained:
+        return f"{evidence.in_words}, and an error is only explained by it up to {explained:g} times its size"
+    if not evidence.predicted < criteria.explained_chi2:
         return (
-            f"{evidence.in_words}, and an error is only explained by noise up to "
-            f"{criteria.max_noise_ratio_explained:g} times its size"
+            f"predictions of the held-out runs have a chi-squared per sample of {evidence.predicted:.3g}, and noise "
+            f"and the unknown voltages between the rows explain {criteria.explained_chi2:g} at most"
         )
     beyond = error_beyond_noise(evidence.motion, evidence.left)
     if not beyond <= criteria.max_motion_error:

@@ -274,11 +274,8 @@ def _evidence(evaluated: Evaluated, differing: Sequence[str]) -> VerdictEvidence
     validation = evaluated.test.validation
     agreeing = _agreeing(evaluated, differing)
 
-    # What unknown voltages of a slow log cause is known within a factor of four: enough to judge names, too little to
-    # exclude effects.
-    lenient = validation.has_voltage_errors and bool(evaluated.outcome.selected)
     expected = validation.noise
-    if lenient:
+    if validation.has_voltage_errors:
         runs = validation.with_runs([run.name for run in agreeing])
         expected = np.hypot(expected, simulation_error(evaluated.after.machine, runs))
 
@@ -292,13 +289,24 @@ def _evidence(evaluated: Evaluated, differing: Sequence[str]) -> VerdictEvidence
 
     before, after = errors(evaluated.before), errors(evaluated.after)
     motion = after.motion_ratio
+    quiet = _quiet(evaluated, agreeing)
     return VerdictEvidence(
         left=finite(after.noise_ratio),
         left_before=finite(before.noise_ratio),
         motion=0.0 if math.isnan(motion) else motion,  # nothing moves
         lacking=finite(after.lacking),
-        remaining_prediction=_remaining_prediction(evaluated, _quiet(evaluated, agreeing), JUDGING_BANDWIDTH),
-        voltages_known=not lenient,
+        remaining_prediction=_remaining_prediction(evaluated, quiet, JUDGING_BANDWIDTH),
+        voltages_known=not validation.has_voltage_errors,
+        predicted=_predicted(evaluated, quiet) if validation.has_voltage_errors else 1.0,
+    )
+
+
+def _predicted(evaluated: Evaluated, validation: Dataset) -> float:
+    """Return chi-squared per sample of the predictions with the effects: the larger one of two observers."""
+    return max(
+        prediction_cost(evaluated.after.machine, validation, bandwidth, longest_step=POLISH_STEP)
+        / validation.count
+        for bandwidth in (JUDGING_BANDWIDTH, SEARCH_BANDWIDTH)
     )
 
 

@@ -157,3 +157,20 @@ def test_interpolation_suffices_where_its_errors_are_far_below_the_noise(
     simulated: tuple[float, ...], suffices: bool
 ) -> None:
     assert interpolation_suffices(np.array(simulated)) == suffices
+
+
+@pytest.mark.parametrize(
+    ("held", "updated", "expected", "change"),
+    [
+        (1.675, 1.625, 1.158, True),  # 1 kHz of a controller at 2 kHz
+        (6.73, 6.52, 1.177, False),  # likewise, but two effects are missing
+        (1.44, 1.63, 1.16, False),  # every voltage is logged
+        (3.72, 12.2, 42.6, False),  # likewise, of a multisine
+    ],
+)
+def test_the_error_that_interpolation_adds_is_no_sign_of_held_voltages(
+    held: float, updated: float, expected: float, change: bool
+) -> None:
+    """Two changes a row add to the error what the log lacks, and yet reduce it."""
+    errors = (FitError(1e5 * held, 1e5, 60.0, floor=1.09), FitError(1e5 * updated, 1e5, 60.0, floor=expected))
+    assert judge.voltages_change_between_rows(judge.UpdatesEvidence(*errors, 1.0), CRITERIA) == change

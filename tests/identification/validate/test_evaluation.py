@@ -40,6 +40,25 @@ def test_no_effect_is_not_said_above_twice_the_noise(left: float) -> None:
 
 
 @pytest.mark.parametrize(
+    ("left", "predicted", "contradiction"),
+    [
+        (1.2, 1.05, ""),
+        (2.2, 1.39, ""),  # an exact machine, five changes a row
+        (4.1, 1.1, "4.1 times what noise and the unknown voltages"),  # a slow force, which predictions hide
+        (2.0, 1.66, "chi-squared per sample of 1.66"),  # a resonance of the frame
+        (math.nan, 1.0, "diverges"),
+    ],
+)
+def test_unknown_voltages_of_a_slow_log_may_explain_its_error(
+    left: float, predicted: float, contradiction: str
+) -> None:
+    evidence = dataclasses.replace(EXACT, left=left, predicted=predicted, voltages_known=False)
+    reason = contradiction_of_no_effect(evidence, CRITERIA)
+    assert contradiction in reason
+    assert bool(contradiction) == bool(reason)
+
+
+@pytest.mark.parametrize(
     ("motion", "left", "hidden"),
     [
         (0.09, 1.99, None),
