@@ -143,7 +143,7 @@ def write_matlab(path: Path, **variables: Any) -> None:
 
 
 def write_matlab_objects(path: Path, version: str, seconds: Any, values: Any) -> None:
-    """Write a timetable, a timeseries with equal steps and an array; versions are "v7" and "v7.3"."""
+    """Write a timetable, timeseries with equal steps and of a running model, and an array; versions: "v7", "v7.3"."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # mat-io warns of its own use of pandas
         from matio import save_to_mat
@@ -154,7 +154,11 @@ def write_matlab_objects(path: Path, version: str, seconds: Any, values: Any) ->
         times = {"Time_": np.zeros((0, 0)), "Start_": seconds[0], "Increment_": step, "Length": len(seconds)}
         info = MatlabOpaque(times, classname="tsdata.timemetadata")
         series = MatlabOpaque({"Data_": values[:, None], "TimeInfo": info}, classname="timeseries")
-        save_to_mat(path, {"speed": series, "bench": timetable, "t": seconds}, version=version)
+        info = MatlabOpaque({"Time_": seconds[:, None]}, classname="tsdata.timemetadata")
+        storage = MatlabOpaque({"Data": values[None]}, classname="tsdata.StreamingStorage")
+        streamed = {"Data_": np.zeros((0, 0)), "TimeInfo": info, "Storage_": storage}
+        content = {"speed": series, "current": MatlabOpaque(streamed, classname="timeseries")}
+        save_to_mat(path, {**content, "bench": timetable, "t": seconds}, version=version)
 
 
 def _joint_states(store: Any, k: int, delay: int) -> Any:

@@ -77,6 +77,8 @@ def test_tables_and_timeseries_are_columns(tmp_path: Path, version: str) -> None
     assert {name.removesuffix(".1") for name in columns} == {
         "speed.Time",
         "speed.Data",
+        "current.Time",
+        "current.Data",
         "bench.Time",
         "bench.x",
         "t",
@@ -85,6 +87,8 @@ def test_tables_and_timeseries_are_columns(tmp_path: Path, version: str) -> None
     np.testing.assert_allclose(columns["bench.Time"], TIME, atol=1e-9)
     np.testing.assert_array_equal(columns["bench.x"], POSITION)
     np.testing.assert_array_equal(columns["speed.Data"], POSITION)
+    np.testing.assert_allclose(columns["current.Time"], 0.5 + TIME)
+    np.testing.assert_array_equal(columns["current.Data"], POSITION)
 
 
 def test_objects_need_an_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -78,13 +78,19 @@ def objects(path: str) -> dict[str, Any]:
 
 
 def _timeseries(properties: dict[str, Any]) -> dict[str, Any]:
-    """Return Time and Data of a timeseries; equal steps have a start and an increment in place of times."""
+    """Return Time and Data of a timeseries.
+
+    Equal steps have a start and an increment in place of times. What Simulink logged while it ran is in a storage of its
+    own, with the time as the last dimension.
+    """
     info = properties["TimeInfo"].properties
     times = np.ravel(info["Time_"])
     if not times.size:
         count = int(np.ravel(info["Length"])[0])
         times = np.ravel(info["Start_"])[0] + np.ravel(info["Increment_"])[0] * np.arange(count)
     data = np.squeeze(properties["Data_"])
+    if not data.size and "Storage_" in properties:
+        data = np.squeeze(properties["Storage_"].properties["Data"])
     return {"Time": times, "Data": data if data.shape[:1] == times.shape else data.T}
 
 
