@@ -175,6 +175,20 @@ def test_a_column_of_another_quantity_is_no_voltage(
         run_of(path, axis)
 
 
+def test_a_command_named_after_its_purpose_may_have_the_unit_of_the_input(
+    axis: Machine, tmp_path: Path
+) -> None:
+    drive = dataclasses.replace(axis.drives[0], kind="torque", channel="torque_Nm", Ke=0.0, Kt=1.0)
+    machine = axis.replace(drives=(drive,))
+    path = log_of(tmp_path / "log.csv", **{"time_s": TIME, "velocity": INPUT, "x_m": POSITION})
+    with pytest.raises(
+        InputError, match="add --unit torque_Nm=Nm if the column is the torque in spite of its"
+    ):
+        run_of(path, machine, columns={"torque_Nm": "velocity"})
+    run = run_of(path, machine, columns={"torque_Nm": "velocity"}, units={"torque_Nm": "Nm"})
+    np.testing.assert_allclose(run.inputs[:, 0], INPUT, rtol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("header", "options", "message"),
     [

@@ -331,10 +331,11 @@ def _parts(recording: Recording, intervals: Sequence[Interval]) -> list[Recordin
             np.searchsorted(time_s, interval.begin), np.searchsorted(time_s, interval.end, side="right")
         )
         if len(time_s[rows]) < 2:
-            span = f"{time_s[0]:g} to {time_s[-1]:g} s"
-            raise InputError(
-                f"{recording.name}: there are no rows from {interval.begin:g} to {interval.end:g} s; it has {span}"
+            asked, span = (
+                f"{_clock_time(begin)} to {_clock_time(end)} s"
+                for begin, end in ((interval.begin, interval.end), (time_s[0], time_s[-1]))
             )
+            raise InputError(f"{recording.name}: there are no rows from {asked}; it has {span}")
         name = recording.name if len(intervals) == 1 else f"{recording.name}_{number:02d}"
         runs.append(Recording(name, time_s[rows], recording.inputs[rows], recording.outputs[rows]))
     return runs
@@ -350,6 +351,11 @@ def _equal_parts(recording: Recording, seconds: float) -> list[Recording]:
     return [Recording(f"{recording.name}_{n:0{digits}d}", *part) for n, part in enumerate(parts, start=1)]
 
 
+def _clock_time(seconds: float) -> str:
+    """Write a time, s, to 0.1 ms: that of a clock in epoch seconds has ten digits before the point."""
+    return f"{round(float(seconds), 4):.15g}"
+
+
 def _clock_remarks(time_s: Array) -> list[str]:
     """Return remarks about the number of rows, the duration, the sampling rate and the gaps."""
     steps = np.diff(time_s)
@@ -363,6 +369,6 @@ def _clock_remarks(time_s: Array) -> list[str]:
         longest = gaps[np.argmax(steps[gaps])]
         lost = float(np.sum(steps[gaps]) - len(gaps) * usual)
         plural = "s" if len(gaps) > 1 else ""
-        where = f"the longest {steps[longest]:.3g} s at time_s = {time_s[longest]:.6g}"
+        where = f"the longest {steps[longest]:.3g} s at time_s = {_clock_time(time_s[longest])}"
         remarks.append(f"{len(gaps)} gap{plural} in time, {lost:.3g} s lost in total, {where}")
     return remarks

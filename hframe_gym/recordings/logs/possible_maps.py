@@ -138,7 +138,8 @@ def _advice(machine: Machine, channel: str, column: Meaning) -> str:
         if commanded == "voltage":
             advice = "map the voltage or the duty cycle that was applied"
         if family in _COMMANDED and column.evidence == "name":
-            return f"{advice}, or add --unit {channel}=V if the column is a voltage in spite of its name"
+            unit = SI_UNITS[commanded]
+            return f"{advice}, or add --unit {channel}={unit} if the column is the {commanded} in spite of its name"
         return advice
     dimension = channel_dimension(machine, channel)
     if dimension not in _MOTIONS:

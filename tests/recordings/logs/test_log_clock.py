@@ -201,3 +201,9 @@ def test_two_clocks_of_one_rate_leave_no_gaps(axis: Machine, tmp_path: Path) -> 
     np.testing.assert_allclose(run.time_s[measured], 0.02 * kept + 0.006, atol=1e-9)
     np.testing.assert_allclose(run.inputs[measured, 0], 0.01 * kept)
     assert any(line.startswith("  1 gap in time") for line in lines)  # that of the rows that are missing
+
+
+def test_a_gap_in_epoch_seconds_is_told_to_the_millisecond(axis: Machine, tmp_path: Path) -> None:
+    times = [f"{1748600000.25 + 0.01 * k:.2f}" for k in range(100) if not 30 < k < 40]
+    _, lines = imported(tmp_path, axis, "time_s", times)
+    assert any("the longest 0.1 s at time_s = 1748600000.55" in line for line in lines)
