@@ -180,7 +180,7 @@ def test_a_command_named_after_its_purpose_may_have_the_unit_of_the_input(
 ) -> None:
     drive = dataclasses.replace(axis.drives[0], kind="torque", channel="torque_Nm", Ke=0.0, Kt=1.0)
     machine = axis.replace(drives=(drive,))
-    path = log_of(tmp_path / "log.csv", **{"time_s": TIME, "velocity": INPUT, "x_m": POSITION})
+    path = log_of(tmp_path / "log.csv", time_s=TIME, velocity=INPUT, x_m=POSITION)
     with pytest.raises(
         InputError, match="add --unit torque_Nm=Nm if the column is the torque in spite of its"
     ):

@@ -23,6 +23,7 @@ import dataclasses
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
@@ -49,8 +50,8 @@ _ROBUST = 1.5  # residuals beyond this multiple of the median count less
 # Shortest time constant, in windows: with less inertia, all of the motion follows the force within a window, and the
 # regression shows no inertia at all.
 _SHORTEST_TIME_CONSTANT = 0.1
-# Fraction of the drives' force, root mean square, of the least dry friction from which a fit starts: a logarithm has
-# limits, and these then reach from 0.02 % to half of that force.
+# Fraction of the drives' force, root mean square, of the least dry and the least viscous friction from which a
+# fit starts: a logarithm has limits, and these then reach from 0.02 % to half of that force.
 _LEAST_FRICTION = 0.01
 _LEAST_RATIO = 1e-3  # of friction to the declared one; a fit in logarithms needs a value above zero
 _WIDE_PRIOR = 1.0  # standard deviation of a logarithm; its limits are then a factor of 55
@@ -63,6 +64,24 @@ _POINTS, _FITTED_POINTS = 64, 16
 _POINTS_SPREAD = 1.5
 # Fraction of the squared error that a term (offset, weight, delay) must remove beside inertia and friction.
 _LEAST_GAIN = 0.02
+
+
+class _Balance(NamedTuple):
+    """Coefficients of the balance of forces along a rigid motion.
+
+    Attributes:
+        inertia: Inertia relative to the declared one, dimensionless.
+        viscous: Viscous friction with the back-EMF, SI.
+        dry: Dry friction, N or Nm.
+        offset: Force that the drives exert at rest, N or Nm.
+        weight: Nm, of sin(z) and cos(z), beside the offset; (0, 0) for a translation.
+    """
+
+    inertia: float
+    viscous: float
+    dry: float
+    offset: float
+    weight: tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -307,8 +326,10 @@ def starting_values(machine: Machine, data: Dataset) -> list[tuple[Machine, tupl
 
     Returns:
         Machines with these values in place of the declared ones, and for each the constant forces of its balance; none
-        if the runs determine no motion. The machine as declared where the balance shows neither inertia nor viscous
-        friction, as where each run has a constant speed: a simulation, which begins at rest, shows both.
+        if the runs determine no motion. A declared weight has its declared size in one, and that of the balance in
+        another: small angles hardly determine it beside a constant force. The machine as declared where the balance
+        shows neither inertia nor viscous friction, as where each run has a constant speed: a simulation, which begins
+        at rest, shows both.
     """
     R = leading_motions(machine)
     measured, runs = _with_positions(machine, data.runs)
@@ -320,12 +341,14 @@ def starting_values(machine: Machine, data: Dataset) -> list[tuple[Machine, tupl
         moves = moves or coefficients is not None
         if coefficients:
             names = {k: machine.coordinate_names[int(np.argmax(np.abs(R[k]) > 0.0))] for k in coefficients}
-            offsets = {names[k]: -offset for k, (*_, offset) in coefficients.items()}
-            known = {k: values[:3] for k, values in coefficients.items()}
-            forces = tuple(EFFECTS["constant_force"].at(name, size=size) for name, size in offsets.items())
+            forces = (EFFECTS["constant_force"].at(names[k], size=-b.offset) for k, b in coefficients.items())
             present = {e.label for e in machine.effects}
             added = tuple(e for e in forces if e.label not in present)
-            found.append((_with_coefficients(machine, R, known), added))
+            start = _with_coefficients(machine, R, coefficients)
+            found.append((start, added))
+            weights = _weights(machine, {names[k]: b.weight for k, b in coefficients.items()})
+            if weights:
+                found.append((start.replace(weights), added))
     return found or ([(machine, ())] if moves else [])
 
 
@@ -349,8 +372,8 @@ def _with_positions(
 
 def _balance(
     machine: Machine, R: Array, windows: Sequence[MotionWindows], span: float
-) -> dict[int, tuple[float, float, float, float]] | None:
-    """Return inertia over the declared one, viscous and dry friction and offset, SI, by motion; None if none moves."""
+) -> dict[int, _Balance] | None:
+    """Return the balance of each motion that shows inertia or viscous friction; None if none moves."""
     mass = np.array([c.mass for c in machine.coordinates])
     declared = np.diag(R @ (mass[:, None] * R.T))
     as_measured = np.eye(len(machine.sensors)), np.eye(len(machine.drives))
@@ -358,11 +381,15 @@ def _balance(
     found = {}
     for equations in determined:
         coefficients = _robust_nonnegative(equations.columns, equations.force)
-        inertia, viscous, dry, above, below = map(float, coefficients[:5])
-        dry = max(dry, _LEAST_FRICTION * float(np.sqrt(np.mean(equations.force**2))))
+        inertia, viscous, dry = map(float, coefficients[:3])
+        offset, *weight = map(float, coefficients[3::2] - coefficients[4::2])
         least = _SHORTEST_TIME_CONSTANT * span * viscous / declared[equations.motion]
+        least_force = _LEAST_FRICTION * float(np.sqrt(np.mean(equations.force**2)))
+        dry = max(dry, least_force)
+        viscous = max(viscous, least_force / float(np.sqrt(np.mean(equations.columns[:, 1] ** 2))))
         if max(inertia, least) > 0.0:
-            found[equations.motion] = (max(inertia, least), viscous, dry, above - below)
+            sine, cosine = weight or (0.0, 0.0)
+            found[equations.motion] = _Balance(max(inertia, least), viscous, dry, offset, (sine, cosine))
     return found if determined else None
 
 
@@ -379,7 +406,18 @@ def _robust_nonnegative(columns: Array, values: Array) -> Array:
     return np.asarray(solution / scale)
 
 
-def _with_coefficients(machine: Machine, R: Array, found: Mapping[int, tuple[float, ...]]) -> Machine:
+def _weights(machine: Machine, found: Mapping[str, tuple[float, float]]) -> dict[str, float]:
+    """Return the amplitudes, Nm, of the weights that a machine declares, with their declared phases."""
+    amplitudes = {}
+    for effect in machine.effects:
+        if effect.name == "unbalance" and effect.site in found:
+            sine, cosine = found[effect.site]
+            phase = effect.parameters["p"]
+            amplitudes[f"{effect.label}.A"] = -sine * math.cos(phase) - cosine * math.sin(phase)
+    return amplitudes
+
+
+def _with_coefficients(machine: Machine, R: Array, found: Mapping[int, _Balance]) -> Machine:
     """Return a machine whose inertia and friction along rigid motions are those of the balance.
 
     The parameters of each coordinate keep their ratio to those of other coordinates of the same motion.
@@ -389,7 +427,8 @@ def _with_coefficients(machine: Machine, R: Array, found: Mapping[int, tuple[flo
     dry = np.array([c.coulomb for c in machine.coordinates])
     back_emf = np.sum([machine.coefficients({d.coordinate: d.back_emf}) for d in machine.drives], axis=0)
     damping = np.array([c.viscous for c in machine.coordinates]) + back_emf
-    motions, inertias, dampings, frictions = R[list(found)], *np.array(list(found.values())).T
+    motions = R[list(found)]
+    inertias, dampings, frictions = np.array([(b.inertia, b.viscous, b.dry) for b in found.values()]).T
     masses = mass * _ratios(motions**2 * mass, inertias)
     of_damping = _ratios(
         motions**2 * damping, dampings / np.maximum(motions**2 @ damping, np.finfo(float).tiny)

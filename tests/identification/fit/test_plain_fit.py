@@ -22,6 +22,7 @@ from hframe_gym.identification.fit.plain_fit import (
     equally_weighted,
     outside_limits,
     plain_fit,
+    starting_values,
 )
 from hframe_gym.identification.predict.prediction import SIMULATION
 from hframe_gym.identification.validate.simpler_machines import (
@@ -195,25 +196,52 @@ def test_the_declared_machine_is_delivered_where_the_fitted_runs_mislead() -> No
     assert result.after.held_out.noise_ratio == pytest.approx(result.declared.held_out.noise_ratio)
 
 
-def test_a_weight_is_found_although_a_constant_force_has_taken_a_part_of_it() -> None:
-    """An arm is held at 46 degrees: its weight is a constant force there, from which the fit does not find back."""
-    motor = BUILTIN_MACHINES["motor"]()
+def torque_driven(machine: Machine) -> Machine:
+    """Command the torque of a motor, so that the machine is one of inertia, friction and forces alone."""
     drive = dataclasses.replace(
-        motor.drives[0], kind="torque", Kt=1.0, Ke=0.0, resistance=1.0, rated_voltage=1.0
+        machine.drives[0], kind="torque", Kt=1.0, Ke=0.0, resistance=1.0, rated_voltage=1.0
     )
-    arm = motor.replace(drives=(drive,)).replace(
-        {"shaft.mass": 0.02, "shaft.viscous": 0.05, "shaft.coulomb": 0.1}
-    )
-    weight = EFFECTS["unbalance"].at("shaft", A=1.0, p=0.8)
+    return machine.replace(drives=(drive,))
+
+
+def random_torques(machine: Machine, size: float, offset: float = 0.0) -> list[Recording]:
+    """Simulate three runs of 4 s under random steps of torque beside an offset, Nm, and add noise."""
     time_s, recordings = np.arange(0.0, 4.0, 4e-3), []
     for seed in range(3):
         rng = np.random.default_rng(seed)
-        torque = np.repeat(rng.uniform(-0.5, 0.5, len(time_s) // 50), 50)[:, None]
+        torque = np.repeat(rng.uniform(-size, size, len(time_s) // 50), 50)[:, None]
         torque[:50] = 0.0
-        torque += np.sin(0.8)
-        outputs = arm.with_effects(weight).simulate(time_s, torque).outputs
+        torque += offset
+        outputs = machine.simulate(time_s, torque).outputs
         outputs = outputs + 1e-4 * rng.normal(size=outputs.shape)
         recordings.append(Recording(f"run_{seed}", time_s, torque, outputs))
+    return recordings
+
+
+@pytest.mark.parametrize("viscous", [0.05, 0.0])
+def test_starting_values_include_a_declared_weight_and_no_vanishing_friction(viscous: float) -> None:
+    """The file guesses a twentieth of the weight, and friction is all dry in one of the machines."""
+    arm = torque_driven(BUILTIN_MACHINES["pendulum"]())
+    true = {"arm.mass": 0.02, "arm.viscous": viscous, "arm.coulomb": 0.1, "unbalance@arm.A": -2.0}
+    recordings = random_torques(arm.replace(true), 3.0)
+    guess = {"arm.mass": 2e-3, "arm.viscous": 1e-5, "arm.coulomb": 3e-3, "unbalance@arm.A": -0.1}
+    declared = arm.replace(guess)
+    data = prepare(recordings, declared)
+    starts = [machine for machine, _ in starting_values(declared, data)]
+    best = min(starts, key=lambda machine: prediction_cost(machine, equally_weighted(data), SIMULATION))
+    assert best.parameters["unbalance@arm.A"] == pytest.approx(-2.0, rel=0.3)
+    assert best.parameters["arm.mass"] == pytest.approx(0.02, rel=0.05)
+    fastest = max(np.abs(np.diff(run.outputs[:, 0])).max() / 4e-3 for run in recordings)
+    assert all(machine.parameters["arm.viscous"] * fastest > 1e-3 * 3.0 for machine in starts)
+
+
+def test_a_weight_is_found_although_a_constant_force_has_taken_a_part_of_it() -> None:
+    """An arm is held at 46 degrees: its weight is a constant force there, from which the fit does not find back."""
+    arm = torque_driven(BUILTIN_MACHINES["motor"]()).replace(
+        {"shaft.mass": 0.02, "shaft.viscous": 0.05, "shaft.coulomb": 0.1}
+    )
+    weight = EFFECTS["unbalance"].at("shaft", A=1.0, p=0.8)
+    recordings = random_torques(arm.with_effects(weight), 0.5, offset=np.sin(0.8))
     declared = arm.replace({"shaft.mass": 2e-3, "shaft.coulomb": 3e-3, "shaft.viscous": 1e-5})
     plain = plain_fit(declared, prepare(recordings, declared))
     assert plain is not None

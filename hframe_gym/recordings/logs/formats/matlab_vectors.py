@@ -80,8 +80,8 @@ def objects(path: str) -> dict[str, Any]:
 def _timeseries(properties: dict[str, Any]) -> dict[str, Any]:
     """Return Time and Data of a timeseries.
 
-    Equal steps have a start and an increment in place of times. What Simulink logged while it ran is in a storage of its
-    own, with the time as the last dimension.
+    Equal steps have a start and an increment in place of times. What Simulink logged while it ran is in a storage
+    of its own, with the time as the last dimension.
     """
     info = properties["TimeInfo"].properties
     times = np.ravel(info["Time_"])
