@@ -144,8 +144,9 @@ def fit(
         iterations: Maximum number of iterations.
         tolerance: Decrease of cost plus penalty per iteration, relative to their sum, below which the search ends.
         longest_step: Maximum integration step, s.
-        goal: Cost, dimensionless, above which the fit is of no use. The search ends where it cannot come down to it,
-            even if each remaining iteration decreased the cost as much as the last one. Default: every fit is of use.
+        goal: Cost, dimensionless, above which the fit is of no use. The search ends where it cannot come down to it:
+            neither if each remaining iteration decreased the cost as much as the last one, nor if the step without
+            damping decreased it as the linear model promised. Default: every fit is of use.
 
     Returns:
         Fit where the search ended; its cost is that without the penalty, infinite if the machine diverges.
@@ -196,8 +197,8 @@ def _descend(
             theta, cost = _best_trial(trials, _costs(expansion, precision, trials), theta, cost)
             next_decrease = math.inf  # nothing was promised of it
         if min(initial_cost - cost, next_decrease) > tolerance * cost:
-            possible = (iterations - 1 - iteration) * (initial_cost - cost)
-            if cost - float(theta @ precision @ theta) - possible > goal:
+            lowest = _lowest_cost(initial_cost, cost, float(promised[0]), iterations - 1 - iteration)
+            if lowest - float(theta @ precision @ theta) > goal:
                 break
             continue
         before = cost
@@ -220,6 +221,14 @@ def _next_decrease(promised: Array, found: Array) -> float:
         return 0.0
     error = float(np.max(np.abs(found - promised))) / most
     return _NEXT_STEP * error * error * most if math.isfinite(error) else math.inf
+
+
+def _lowest_cost(before: float, cost: float, promised: float, remaining: int) -> float:
+    """Return the cost to which a fit may come down: by steps like the last one, or by the promised undamped step.
+
+    Along a curved valley, many short steps precede those that reach its bottom; the linear model sees how deep that is.
+    """
+    return min(cost - remaining * (before - cost), before - promised)
 
 
 def _costs(expansion: Linearization, precision: Array, trials: Array) -> Array:

@@ -102,6 +102,21 @@ def test_the_worst_trial_tells_what_a_further_step_would_add(
     assert estimation._next_decrease(promised, np.array(found)) == pytest.approx(next_decrease)
 
 
+@pytest.mark.parametrize(
+    ("promised", "remaining", "lowest"),
+    [
+        (520.0, 10, 5400.0),  # one step along a curved valley; two iterations later, it was down at 5306
+        (15.0, 10, 5700.0),
+        (15.0, 2, 5860.0),
+        (-1.0, 0, 5900.0),
+    ],
+)
+def test_a_fit_may_come_down_to_what_was_promised_or_by_steps_like_the_last_one(
+    promised: float, remaining: int, lowest: float
+) -> None:
+    assert estimation._lowest_cost(5920.0, 5900.0, promised, remaining) == lowest
+
+
 def _counted(
     monkeypatch: pytest.MonkeyPatch, function: Callable[..., Fit], *arguments: Any, **options: Any
 ) -> tuple[Fit, int]:
