@@ -10,7 +10,6 @@ from .motion_forces import (
     delayed_voltages,
     effect_forces,
     effect_states,
-    forces_along,
     net_forces,
     sensor_readings,
 )
@@ -48,7 +47,6 @@ __all__ = [
     "delayed_voltages",
     "effect_forces",
     "effect_states",
-    "forces_along",
     "in_blocks",
     "in_parallel",
     "instances_with_state",

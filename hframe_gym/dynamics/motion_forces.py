@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -73,25 +74,62 @@ def net_forces(
     Returns:
         Net forces, N or Nm, shape (N, coordinates), or (variants, N, coordinates) if a value is an array.
     """
-    return forces_along(Equations(machine, values), time_s, positions, velocities, inputs)
+    equations = Equations(machine, values)
+    return KnownMotion(equations, time_s, positions, velocities, inputs).forces(equations)
 
 
-def forces_along(
-    equations: Equations, time_s: Times, positions: Array, velocities: Array, inputs: Inputs
-) -> Array:
-    """Return what `net_forces` returns, for equations that are used for several motions.
+class KnownMotion:
+    """A motion along which the forces of a machine are evaluated with several effects, one after the other.
+
+    What an effect leaves as it is, such as the forces of linear belts, is computed once.
 
     Args:
+        equations: Equations of the machine without these effects.
+        time_s: Sample times, s, shape (N,).
         positions: Positions, m or rad, shape (N, coordinates).
         velocities: Velocities, m/s or rad/s, shape (N, coordinates).
-
-    Returns:
-        Net forces, N or Nm, shape (N, coordinates), or (variants, N, coordinates) for several variants of a parameter.
+        inputs: Commanded voltages, V, held from each sample until the next, shape (N, drives).
     """
-    voltages = delayed_voltages(equations, time_s, inputs)
-    states = effect_states(equations, time_s, positions, velocities, voltages)
-    point = equations.point(positions, velocities, time_s, states)
-    return np.asarray(equations.in_units(equations.net_forces(point, voltages)))
+
+    def __init__(
+        self, equations: Equations, time_s: Times, positions: Array, velocities: Array, inputs: Inputs
+    ) -> None:
+        self._equations, self._record = equations, (time_s, positions, velocities)
+        self._inputs = inputs
+        self._point = equations.point(positions, velocities, time_s)
+
+    @cached_property
+    def _voltages(self) -> list[Array]:
+        """Voltage that reaches each drive, V."""
+        return delayed_voltages(self._equations, self._record[0], self._inputs)
+
+    @cached_property
+    def _belt_forces(self) -> list[Any]:
+        """Force of linear belts on each coordinate, N."""
+        return self._equations.belt_forces(self._point, self._equations.belt_states(self._point))
+
+    def forces(self, equations: Equations) -> Array:
+        """Return the net forces (`net_forces`) of the machine with effects that add no coordinates.
+
+        Args:
+            equations: Equations of the machine with these effects; only these may have other parameters than the given
+                equations, such as one value for each of several variants.
+
+        Returns:
+            Net forces, N or Nm, shape (N, coordinates), or (variants, N, coordinates) for several variants.
+        """
+        delayed = any(instance.effect.definition.delay for instance in equations.instances)
+        voltages = (
+            delayed_voltages(equations, self._record[0], self._inputs) if delayed else self._voltages
+        )
+        states = effect_states(equations, *self._record, voltages)
+        point = dataclasses.replace(self._point, effect_states=states)
+        belt_forces = (
+            equations.belt_forces(point, equations.belt_states(point))
+            if equations.nonlinear_belts
+            else self._belt_forces
+        )
+        return np.asarray(equations.in_units(equations.net_forces(point, voltages, belt_forces=belt_forces)))
 
 
 def effect_forces(

@@ -322,18 +322,26 @@ class Equations(SignalEquations):
         """Return the mass or inertia of coordinate i in its own unit, kg or kg m^2."""
         return self.mass(i) * self.radius(i) * self.radius(i)
 
-    def balance(self, point: MotionPoint, voltages: Sequence[Value]) -> ForceBalance:
+    def balance(
+        self, point: MotionPoint, voltages: Sequence[Value], belt_forces: Sequence[Value] | None = None
+    ) -> ForceBalance:
         """Return the sum of belt, drive and effect forces on each coordinate, and the Coulomb friction force.
 
         Args:
             voltages: Commanded voltage of each drive, V, after its delay.
+            belt_forces: Force of the belts on each coordinate, N, if it is known. Default: it is computed.
         """
         motor_voltages = self.motor_voltages(voltages)
-        forces = self.belt_forces(point, self.belt_states(point))
+        forces = self.belt_forces(point, self.belt_states(point)) if belt_forces is None else belt_forces
         return self.force_balance(point, motor_voltages, self.add_drive_forces(forces, motor_voltages))
 
     def net_forces(
-        self, point: MotionPoint, voltages: Sequence[Value], direction: Callable[[Value], Value] = sign
+        self,
+        point: MotionPoint,
+        voltages: Sequence[Value],
+        direction: Callable[[Value], Value] = sign,
+        *,
+        belt_forces: Sequence[Value] | None = None,
     ) -> list[Value]:
         """Return the sum of all forces on each coordinate, N, with effects, viscous and Coulomb friction.
 
@@ -341,8 +349,9 @@ class Equations(SignalEquations):
             voltages: Commanded voltage of each drive, V, after its delay.
             direction: Function of the speed, m/s, that gives the direction of the motion in [-1, 1]: `sign`, or for
                 optimization a smooth function such as tanh(v / v0) with a small speed v0.
+            belt_forces: As in `balance`.
         """
-        forces, coulomb, _ = self.balance(point, voltages)
+        forces, coulomb, _ = self.balance(point, voltages, belt_forces)
         result = []
         for i, (force, level, v) in enumerate(zip(forces, coulomb, point.speed, strict=True)):
             sign_of_motion = direction(v)

@@ -20,8 +20,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ...arrays import Array
-from ...dynamics import Equations, forces_along
-from ...dynamics.motion_forces import ohmic_currents
+from ...dynamics import Equations
+from ...dynamics.motion_forces import KnownMotion, ohmic_currents
 from ...dynamics.simulation import Motion, parameter_batch
 from ...effects import EFFECTS, effect_sites
 from ...effects.smooth_table import TABLE_FAMILY
@@ -235,9 +235,38 @@ def _without_effects(machine: Machine) -> Machine:
     return dataclasses.replace(machine, effects=(), ties={})
 
 
-def candidate_perturbations(
-    machine: Machine, perturbed: Sequence[PerturbedMachine], run: PreparedRecording, motion: Motion
-) -> Perturbation:
+class Unperturbed:
+    """Motion of a machine along a run, with its forces and readings, which candidate effects change.
+
+    Args:
+        machine: The machine; effects that it has are left out, because candidates do not interact with them.
+        run: Run with the sample times and voltages of the motion.
+        motion: Motion of the machine with positions and velocities, a batch of one, n samples.
+
+    Attributes:
+        motion: The motion.
+        known: The same, for the forces of machines with one more effect.
+        force: Net force on every coordinate, N or Nm, shape (n, coordinates).
+        time_s: Sample times, s, shape (n,).
+        readings: Ideal reading of each sensor, in its unit, shape (n,) each.
+    """
+
+    def __init__(self, machine: Machine, run: PreparedRecording, motion: Motion) -> None:
+        bare = _without_effects(machine)
+        equations, q, v = Equations(bare), motion.positions[0], motion.velocities[0]
+        self.motion, self.time_s = motion, run.time_s
+        self.known = KnownMotion(equations, run.time_s, q, v, run.inputs)
+        self.force = self.known.forces(equations)
+        accelerations, currents = np.gradient(v, run.time_s, axis=0), ohmic_currents(bare, v, run.inputs)
+        self._columns = [list(values.T) for values in (q, v, accelerations, currents)]
+        self.readings = self.readings_of(equations)
+
+    def readings_of(self, equations: Equations) -> list[Array]:
+        """Return the reading of each sensor by a machine with effects, (n,) or (columns, n) each."""
+        return equations.sensor_readings(*self._columns)
+
+
+def candidate_perturbations(unperturbed: Unperturbed, perturbed: Sequence[PerturbedMachine]) -> Perturbation:
     """Compute the forces and measurement changes that candidate effects of typical size cause along a motion.
 
     `screen` linearizes the residual with them. They are approximate in three respects: the motion is computed for the
@@ -245,27 +274,23 @@ def candidate_perturbations(
     sample to the next.
 
     Args:
+        unperturbed: Motion of the machine, n samples.
         perturbed: The machine with each of the candidate effects, from `perturbed_machines`.
-        run: Run with the sample times and voltages of the motion.
-        motion: Motion of the machine with positions and velocities, a batch of one, n samples.
 
     Returns:
         Forces, N or Nm, shape (columns, n, coordinates), and changes of measurements, m or rad, shape
         (columns, n, sensors). A column is one basis function of one candidate, in the order of `Candidate.columns`.
     """
-    bare = Equations(_without_effects(machine))
-    record = (run.time_s, motion.positions[0], motion.velocities[0], run.inputs)
-    bare_force, ideal = forces_along(bare, *record), _sensed(bare, run, motion)
-    count, first = sum(each.columns for each in perturbed), 0
+    count, first, motion = sum(each.columns for each in perturbed), 0, unperturbed.motion
     force = np.zeros((count, *motion.positions.shape[1:]))
     measurement = np.zeros((count, *motion.readings.shape[1:]))
     for each in perturbed:
         rows = slice(first, first + each.columns)
         first += each.columns
         if _acts_on_sensors(each.effect):
-            measurement[rows] = _measurement_change(each.equations, ideal, run, motion)
+            measurement[rows] = _measurement_change(each.equations, unperturbed)
         else:
-            np.subtract(forces_along(each.equations, *record), bare_force, out=force[rows])
+            np.subtract(unperturbed.known.forces(each.equations), unperturbed.force, out=force[rows])
             if each.fraction != 1.0:
                 force[rows] /= each.fraction
     return Perturbation(force, measurement)
@@ -276,31 +301,23 @@ def _acts_on_sensors(effect: Effect) -> bool:
     return bool(effect.measurement or effect.measurement_delay)
 
 
-def _sensed(equations: Equations, run: PreparedRecording, motion: Motion) -> list[Array]:
-    """Return the readings of each sensor along a motion, (n,) or (columns, n) each; accelerations are differences."""
-    q, v = motion.positions[0], motion.velocities[0]
-    currents = ohmic_currents(_without_effects(equations.machine), v, run.inputs)
-    columns = (list(values.T) for values in (q, v, np.gradient(v, run.time_s, axis=0), currents))
-    return equations.sensor_readings(*columns)
-
-
-def _measurement_change(
-    equations: Equations, ideal: Sequence[Array], run: PreparedRecording, motion: Motion
-) -> Array:
+def _measurement_change(equations: Equations, unperturbed: Unperturbed) -> Array:
     """Return the change of ideal measurements by effects on sensors, shape (columns or 1, n, sensors).
 
     A measurement delay d is approximated to first order: the measurement changes by -d times its rate.
     """
-    changes = [
-        np.atleast_2d(measured - without - delay * np.gradient(values, run.time_s))
-        for measured, without, delay, values in zip(
-            _sensed(equations, run, motion),
-            ideal,
-            equations.measurement_delays(),
-            motion.readings[0].T,
-            strict=True,
-        )
-    ]
+    changes = []
+    for measured, without, delay, values in zip(
+        unperturbed.readings_of(equations),
+        unperturbed.readings,
+        equations.measurement_delays(),
+        unperturbed.motion.readings[0].T,
+        strict=True,
+    ):
+        change = measured - without
+        if np.any(delay):
+            change = change - delay * np.gradient(values, unperturbed.time_s)
+        changes.append(np.atleast_2d(change))
     return np.stack(np.broadcast_arrays(*changes), axis=-1)
 
 
@@ -330,9 +347,9 @@ def _responses(
 
     # The unperturbed residual comes from the same kernel, the one that takes extra forces.
     unperturbed = residual(np.zeros((1, *motion.positions.shape[1:])), None)
-    columns = []
+    columns, along = [], Unperturbed(model.machine, run, motion)
     for part in _parts(perturbed):
-        force, measurement = candidate_perturbations(model.machine, part, run, motion)
+        force, measurement = candidate_perturbations(along, part)
         of_sensors = any(_acts_on_sensors(each.effect) for each in part)
         step = np.repeat([each.step for each in part], [each.columns for each in part])
         by_column = step[:, None, None]

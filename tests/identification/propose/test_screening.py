@@ -13,6 +13,7 @@ from hframe_gym.identification.fit.typical_scales import typical_scales
 from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH, SIMULATION, predict
 from hframe_gym.identification.propose.candidates import Candidate
 from hframe_gym.identification.propose.screening import (
+    Unperturbed,
     candidate_perturbations,
     perturbed_machines,
     screen_structures,
@@ -93,7 +94,9 @@ def test_response_predicts_the_simulation_with_a_small_effect(
     run, fraction = data.runs[0], 1e-3
     motion = predict(axis, run, SIMULATION, period=data.period, states=True)
     candidates = [candidate(name, site, **column)]
-    perturbation = candidate_perturbations(axis, perturbed_machines(axis, candidates), run, motion)
+    perturbation = candidate_perturbations(
+        Unperturbed(axis, run, motion), perturbed_machines(axis, candidates)
+    )
     perturbed = predict(
         axis,
         run,
@@ -114,7 +117,7 @@ def test_columns_of_several_candidates_keep_their_order(axis: Machine) -> None:
     data = prepare([recorded(axis)], axis)
     motion = predict(axis, data.runs[0], SEARCH_BANDWIDTH, period=data.period, states=True)
     perturbed = perturbed_machines(axis, CANDIDATES)
-    perturbation = candidate_perturbations(axis, perturbed, data.runs[0], motion)
+    perturbation = candidate_perturbations(Unperturbed(axis, data.runs[0], motion), perturbed)
     np.testing.assert_allclose(perturbation.force[0], 0.1)
     viscous = axis.coordinates[0].viscous
     np.testing.assert_allclose(
