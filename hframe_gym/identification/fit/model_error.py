@@ -23,6 +23,7 @@ from collections.abc import Iterator, Sequence
 from ...effects.smooth_table import TABLE_FAMILY
 from ...machine import Machine
 from ...preparation.dataset import Dataset
+from ..budget import goes_on
 from ..judge import run as judge
 from ..judge.observer import best_in_simulation, likeliest
 from ..judge.run import MIN_RUNS_COMPARED
@@ -174,10 +175,15 @@ def fit_with_model_error(fitted: Fit, data: Dataset) -> Fit:
 
 
 def _narrowing(fitted: Fit, data: Dataset) -> Iterator[Fit]:
-    """Return a fit, then fits with narrower and narrower observers, each of which continues the one before."""
+    """Return a fit, then fits with narrower and narrower observers, each of which continues the one before.
+
+    Where the time of a stage ends that must deliver a machine, none follows.
+    """
     yield fitted
     bandwidths = bandwidths_for(data)
     for bandwidth in bandwidths[bandwidths.index(fitted.bandwidth) + 1 : -1]:
+        if not goes_on():
+            return
         fitted = continue_fit(fitted, data, bandwidth)
         yield fitted
 
@@ -208,10 +214,10 @@ def refined_in_simulation(fitted: Fit, data: Dataset) -> Fit:
 
     Returns:
         Fit of the same parameters with the smallest product, polished. `fitted` itself if no fit is better, if it is a
-        simulation, if there is only one run, which permits no cross-validation, or if the errors of interpolated
-        voltages add up in a simulation.
+        simulation, if there is only one run, which permits no cross-validation, if the errors of interpolated
+        voltages add up in a simulation, or if the time of a stage that must deliver is used up.
     """
-    if fitted.bandwidth == SIMULATION or len(data.runs) == 1 or data.has_voltage_errors:
+    if fitted.bandwidth == SIMULATION or len(data.runs) == 1 or data.has_voltage_errors or not goes_on():
         return fitted
 
     def cost(machine: Machine, bandwidth: float) -> float:

@@ -18,6 +18,7 @@ import numpy as np
 
 from ...arrays import Array
 from ...preparation.dataset import Dataset, RunObserver
+from ..budget import goes_on
 from ..judge.run import accepts_run_observers
 from ..predict.free_parameters import bounded_step, prior_precision
 from ..predict.linearization import ResidualModel
@@ -42,12 +43,15 @@ def fit_run_by_run(fitted: Fit, data: Dataset) -> Fit:
 
     Returns:
         Fit of the same parameters. Its `observers` are those of the runs; its cost is that at the bandwidth of
-        `fitted`. `fitted` itself if no other observers are more likely, or if the new machine simulates the runs much
-        worse: mean square errors that are, in the geometric mean over the runs, doubled.
+        `fitted`. `fitted` itself if no other observers are more likely, if the new machine simulates the runs much
+        worse (mean square errors that are, in the geometric mean over the runs, doubled), or if the time of a stage
+        that must deliver is used up.
     """
     best, chosen = fitted, dict.fromkeys((run.name for run in data.runs), RunObserver(fitted.bandwidth))
     least = _loss(fitted, data, chosen)
     for _ in range(_ROUNDS):
+        if not goes_on():
+            break
         observers = _likeliest_observers(best, data)
         if observers is None or _bandwidths(observers) == _bandwidths(chosen):
             break

@@ -22,7 +22,13 @@ from ...preparation.session_zeros import refine_encoder_zeros
 from ..judge.criteria import SelectionCriteria
 from ..judge.error import FitError, is_enough, only_noise_is_left, required_gain
 from ..predict.prediction import POLISH_STEP, SEARCH_BANDWIDTH, SIMULATION, map_runs, predict, residuals
-from ..predict.start_uncertainty import effect_state_spreads, start_displacements
+from ..predict.start_uncertainty import (
+    effect_state_spreads,
+    predict_with_displaced_starts,
+    probable_amounts,
+    start_displacements,
+    uncertain_starts,
+)
 from .estimation import Fit, prediction_cost
 from .lost_voltages import estimate_lost_voltages
 from .model_error import continue_fit, fit_with_model_error
@@ -77,23 +83,31 @@ def most_probable_initial_state(machine: Machine, run: PreparedRecording, data: 
 def start_for_observer(machine: Machine, run: PreparedRecording, data: Dataset) -> Array:
     """Return the state from which the prediction by an observer (60 rad/s) needs the smaller corrections.
 
-    The most probable start follows from a simulation. If the machine lacks much, the simulation drifts, and that start
-    can be worse than the measured one.
+    It is the measured one, or displaced by what the prediction itself makes most probable, to first order. The most
+    probable start of a simulation would take much longer, and is a worse one where the machine lacks much: the
+    simulation drifts.
 
     Args:
         run: Run to predict, n samples.
         data: Data set of the run, for the sampling period and the sensors' quantization steps.
 
     Returns:
-        The most probable or the measured state: positions (m, rad), velocities (m/s, rad/s), effect states (SI), shape
-        (2 * coordinates + effect states,).
+        Positions (m, rad), velocities (m/s, rad/s), effect states (SI), shape (2 * coordinates + effect states,).
     """
+    start = uncertain_starts(machine, [run])[run.name]
+    if not len(start.displacements):
+        return start.state
+    motion = predict_with_displaced_starts(machine, run, SEARCH_BANDWIDTH, start, period=data.period)
+    errors = residuals(run, data, motion.readings)
+    # A model error reduces the weight of the data, so that a wrong machine cannot explain its error by the start.
+    errors /= max(1.0, float(np.sqrt(np.mean(errors[0] ** 2))))
+    displaced = start.state + probable_amounts(errors[0], errors[1:]) @ start.displacements
 
-    def cost(start: Array) -> float:
-        motion = predict(machine, run, SEARCH_BANDWIDTH, period=data.period, initial_state=start)
-        return float(np.sum(residuals(run, data, motion.readings) ** 2))
+    def cost(state: Array) -> float:
+        again = predict(machine, run, SEARCH_BANDWIDTH, period=data.period, initial_state=state)
+        return float(np.sum(residuals(run, data, again.readings) ** 2))
 
-    return min(run.initial_state(machine), most_probable_initial_state(machine, run, data), key=cost)
+    return min(start.state, displaced, key=cost)
 
 
 def refine_dataset(data: Dataset, machine: Machine, reference: Dataset | None = None) -> Dataset:

@@ -81,6 +81,12 @@ def periodogram_peaks(motion: Array, sampling_period: float, *, factor: Array | 
     return 2 * np.pi / (_POINTS_PER_PERIOD * span) * np.array(peaks, float)
 
 
+def block_means(values: Array, rows: int) -> Array:
+    """Return the means of blocks of successive rows, shape (n // rows, ...), of values of any unit, shape (n, ...)."""
+    complete = len(values) // rows * rows
+    return np.asarray(values[:complete].reshape(-1, rows, *values.shape[1:]).mean(axis=1))
+
+
 def slow_rates(position: Array) -> Array:
     """Return starting values for the spatial rate (2 pi / period) of friction that varies slowly over the position.
 

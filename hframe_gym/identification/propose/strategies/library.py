@@ -16,9 +16,12 @@ from ....arrays import Array
 from ....effects import EFFECTS
 from ....machine import Effect, argument_names
 from ..candidates import STRATEGIES, Candidate, SearchState
-from ..periodogram import periodogram_peaks, slow_rates
+from ..periodogram import block_means, periodogram_peaks, slow_rates
 
 _MAX_SHAPES = 64  # Sets of starting values per effect and site.
+# s; means over it keep what a periodogram shows: periods of at least 25 ms (`HIGHEST_FREQUENCY`), of which it needs
+# four rows, and noise, of which they leave no more than all rows do.
+_BLOCK_S = 4e-3
 
 
 @STRATEGIES.register("library")
@@ -60,7 +63,12 @@ def _rates(effect: Effect, site: str, state: SearchState) -> Array:
     motion = state.motion(effect, site)
     if not len(motion):
         return np.zeros(0)
-    rates = periodogram_peaks(motion, state.data.period, factor=_factor(effect, site, state))
+    factor, rows = _factor(effect, site, state), max(1, round(_BLOCK_S / state.data.period))
+    rates = periodogram_peaks(
+        block_means(motion, rows),
+        rows * state.data.period,
+        factor=None if factor is None else block_means(factor, rows),
+    )
     if state.slow and effect.coulomb:
         rates = np.concatenate([rates, slow_rates(motion[:, 0])])
     return rates
