@@ -119,9 +119,7 @@ class KnownMotion:
             Net forces, N or Nm, shape (N, coordinates), or (variants, N, coordinates) for several variants.
         """
         delayed = any(instance.effect.definition.delay for instance in equations.instances)
-        voltages = (
-            delayed_voltages(equations, self._record[0], self._inputs) if delayed else self._voltages
-        )
+        voltages = delayed_voltages(equations, self._record[0], self._inputs) if delayed else self._voltages
         states = effect_states(equations, *self._record, voltages)
         point = dataclasses.replace(self._point, effect_states=states)
         belt_forces = (

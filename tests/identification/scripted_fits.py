@@ -88,17 +88,24 @@ class Scripted:
             ),
             "likelihood_deficit": lambda fitted, reference, data: math.inf,
             "converge": lambda fitted, data, thorough: fitted,
-            "trial_fits": lambda current, data, enough, criteria: self.trials.pop(0) if self.trials else [],
+            "trial_fits": lambda *arguments: self.trials.pop(0) if self.trials else [],
             "structural_trial_fits": lambda *arguments: self.structures.pop(0) if self.structures else [],
             "unexplained_fraction": lambda current, trials: 1.0,
             "without_effect": lambda current, label, *rest, **more: self.without.get(label),
-            "replacement_fit": lambda *arguments: self.replacement,
+            "machine_without": lambda machine, label, plain: machine,
+            "screened_fit": lambda current, data, without: None,
+            "replacement_fit": self._replaced,
             "fit_with_effects": lambda current, effects, data: self.again.pop(0),
         }
         for name, function in replaced.items():
             for module in (significance, forward_selection):
                 if hasattr(module, name):
                     monkeypatch.setattr(module, name, function)
+
+    def _replaced(self, current: Fit, label: str, *rest: object) -> tuple[Fit, Fit] | None:
+        """Return the fits without an effect and with another one in its place."""
+        reduced = self.without.get(label)
+        return None if reduced is None or self.replacement is None else (reduced, self.replacement)
 
     def search(self, data: Any = DATA, **criteria: float) -> EffectSearch:
         """Return a search with changed criteria."""

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...arrays import Array
 
@@ -109,6 +111,45 @@ class NormalEquations:
             and np.isfinite(self.gradient).all()
             and np.isfinite(self.information).all()
         )
+
+    def with_added(self, response: int) -> NormalEquations:
+        """Return the products of the residual to which a unit amount of one perturbation is added.
+
+        Args:
+            response: Index of the perturbation.
+        """
+        information, gradient = self.response_information[:, response], self.response_gradient
+        return dataclasses.replace(
+            self,
+            gradient=self.gradient + self.cross_products[:, response],
+            cost=self.cost + float(2.0 * gradient[response] + information[response]),
+            response_gradient=gradient + information,
+        )
+
+    def of_some(self, parameters: NDArray[np.bool_], responses: slice) -> NormalEquations:
+        """Return the products of some parameters and perturbations only.
+
+        Args:
+            parameters: True for the parameters that are kept, shape (k,).
+            responses: Indices of the perturbations that are kept.
+        """
+        return dataclasses.replace(
+            self,
+            information=self.information[np.ix_(parameters, parameters)],
+            gradient=self.gradient[parameters],
+            cross_products=self.cross_products[parameters, responses],
+            response_information=self.response_information[responses, responses],
+            response_gradient=self.response_gradient[responses],
+        )
+
+    def least_cost(self, precision: Array) -> float:
+        """Return the cost with the best parameters theta, without their prior, of the linear model.
+
+        Args:
+            precision: Inverse covariance of the parameters' prior, dimensionless, shape (k, k).
+        """
+        step = -np.linalg.solve(self.information + precision, self.gradient)
+        return self.cost + float(2.0 * step @ self.gradient + step @ self.information @ step)
 
     def eliminate_parameters(self, precision: Array) -> NormalEquations:
         """Eliminate the k parameters theta (Schur complement), so that only the amounts a remain unknown.

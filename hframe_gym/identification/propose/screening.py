@@ -14,7 +14,9 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -30,8 +32,9 @@ from ...preparation.dataset import Dataset, PreparedRecording
 from ..budget import spender
 from ..fit.estimation import Fit
 from ..fit.typical_scales import TypicalScales
-from ..predict.free_parameters import prior_precision, second_difference_penalty
+from ..predict.free_parameters import FreeParameter, prior_precision, second_difference_penalty
 from ..predict.linearization import DIFFERENCE_STEP, ResidualModel
+from ..predict.normal_equations import NormalEquations
 from ..predict.prediction import mechanical_rows_per_block, predict
 from .candidates import Candidate
 
@@ -72,45 +75,119 @@ class ScoredCandidate(NamedTuple):
     amounts: tuple[float, ...]
 
 
-def screen(fit: Fit, candidates: Sequence[Candidate], data: Dataset) -> list[ScoredCandidate]:
-    """Rank candidate effects by the reduction of chi-squared that a linearized model predicts, without fitting any.
+@dataclass(frozen=True)
+class Screening:
+    """Candidates of a fitted machine, beside the linearized residual that ranks them.
 
     A candidate is a weighted sum of basis functions, such as sine and cosine. The residual is linearized with respect
     to these weights and the machine's free parameters. The best weights and parameters follow from a linear equation.
 
+    Attributes:
+        fit: Fit of the machine without the candidates; they are evaluated at its observer bandwidth.
+        data: Runs that were fitted.
+        candidates: Effects, sites (components) and starting values to compare.
+        removed: Labels (name@site) of effects of the machine that may be removed.
+        equations: Products of the residual. Its perturbations are the removal of each of these effects, in a machine
+            that is otherwise the same, then the basis functions of the candidates.
+    """
+
+    fit: Fit
+    data: Dataset
+    candidates: Sequence[Candidate]
+    removed: tuple[str, ...]
+    equations: NormalEquations
+
+    @classmethod
+    def of(
+        cls, fit: Fit, candidates: Sequence[Candidate], data: Dataset, without: Mapping[str, Machine]
+    ) -> Screening:
+        """Linearize the residual of a fit.
+
+        Args:
+            fit: Fit of the machine without the candidates.
+            candidates: Candidates, at least one.
+            data: Runs that were fitted.
+            without: By the label of an effect, the fitted machine without it.
+        """
+        model, may_go_on = _screening_model(fit, data), spender()
+        perturbed = perturbed_machines(model.machine, candidates)
+
+        def responses(run: PreparedRecording, motion: Motion) -> Array:
+            may_go_on()
+            fitted = model.residuals(run, motion.readings)
+            of_removals = [_prediction_residual(model, machine, run) - fitted for machine in without.values()]
+            return np.vstack([*of_removals, _responses(model, perturbed, run, motion)])
+
+        equations = model.linearize(fit.theta, responses).normal_equations
+        return cls(fit, data, candidates, tuple(without), equations)
+
+    def ranked(self) -> list[ScoredCandidate]:
+        """Rank the candidates by the reduction of chi-squared that the linearized model predicts, if they are added.
+
+        Returns:
+            Candidates with the weights of their basis functions and the reduction of chi-squared (summed over all
+            samples, dimensionless), in the order of decreasing reduction. It is 0 if only an amplitude outside its
+            bounds would reduce chi-squared, or if the machine's free parameters can represent the candidate.
+        """
+        return self._ranked(self.equations, self.fit.free)[0]
+
+    def in_place_of(self, label: str) -> tuple[list[ScoredCandidate], float]:
+        """Rank the candidates by the same reduction, from the machine without one of the removable effects.
+
+        Args:
+            label: Label of the effect.
+
+        Returns:
+            The other effects that do not need this one, as from `ranked`, and the reduction of chi-squared by the
+            effect itself; no candidate and infinity if the machine without it diverges.
+        """
+        equations = self.equations.with_added(self.removed.index(label))
+        if not math.isfinite(equations.cost):
+            return [], math.inf
+        free = tuple(f for f in self.fit.free if not f.name.startswith(f"{label}."))
+        ranked, least_cost = self._ranked(equations, free)
+        others = [
+            scored
+            for scored in ranked
+            if f"{scored.candidate.effect.requires}@{scored.candidate.site}" != label
+        ]
+        return others, least_cost - self.equations.cost
+
+    def _ranked(
+        self, equations: NormalEquations, free: Sequence[FreeParameter]
+    ) -> tuple[list[ScoredCandidate], float]:
+        """Return the ranked candidates, and the cost without any, where only some parameters are free."""
+        names = {f.name for f in free}
+        kept = np.array([f.name in names for f in self.fit.free], bool)
+        equations = equations.of_some(kept, slice(len(self.removed), None))
+        # The ridge keeps the elimination possible where parameters have the same influence on the measurements.
+        precision = prior_precision(free) + np.diag(_RIDGE * np.diag(equations.information))
+        reduced = equations.eliminate_parameters(precision)
+        scored, first = [], 0
+        for candidate in self.candidates:
+            # of this candidate, among all perturbations
+            columns = np.arange(first, first + len(candidate.columns))
+            first += len(columns)
+            # Square of each response before and after the free parameters took what they can reproduce of it.
+            before = equations.response_information[columns, columns]
+            information = reduced.response_information[np.ix_(columns, columns)]
+            gradient = reduced.response_gradient[columns]
+            scored.append(_score(candidate, information, gradient, before, self.fit.chi2))
+        return sorted(scored, key=lambda s: -s.gain), equations.least_cost(precision)
+
+
+def screen(fit: Fit, candidates: Sequence[Candidate], data: Dataset) -> list[ScoredCandidate]:
+    """Rank candidate effects by the reduction of chi-squared that a linearized model predicts, without fitting any.
+
     Args:
-        fit: Fit of the machine without the candidates; the candidates are evaluated at its observer bandwidth.
+        fit: Fit of the machine without the candidates.
         candidates: Effects, sites (components) and starting values to compare.
         data: Runs that were fitted.
 
     Returns:
-        Candidates with the weights of their basis functions and the reduction of chi-squared (summed over all samples,
-        dimensionless), in the order of decreasing reduction. It is 0 if only an amplitude outside its bounds would
-        reduce chi-squared, or if the machine's free parameters can represent the candidate.
+        The candidates in the order of `Screening.ranked`.
     """
-    if not candidates:
-        return []
-    model, may_go_on = _screening_model(fit, data), spender()
-    perturbed = perturbed_machines(model.machine, candidates)
-
-    def responses(run: PreparedRecording, motion: Motion) -> Array:
-        may_go_on()
-        return _responses(model, perturbed, run, motion)
-
-    equations = model.linearize(fit.theta, responses).normal_equations
-    # The ridge keeps the elimination possible where parameters have the same influence on the measurements.
-    ridge = np.diag(_RIDGE * np.diag(equations.information))
-    reduced = equations.eliminate_parameters(prior_precision(fit.free) + ridge)
-    scored, first = [], 0
-    for candidate in candidates:
-        # of this candidate, among all perturbations
-        columns = np.arange(first, first + len(candidate.columns))
-        first += len(columns)
-        # Square of each response before and after the free parameters took what they can reproduce of it.
-        before = equations.response_information[columns, columns]
-        information = reduced.response_information[np.ix_(columns, columns)]
-        scored.append(_score(candidate, information, reduced.response_gradient[columns], before, fit.chi2))
-    return sorted(scored, key=lambda s: -s.gain)
+    return Screening.of(fit, candidates, data, {}).ranked() if candidates else []
 
 
 class Resemblance(NamedTuple):
@@ -326,6 +403,14 @@ def _screening_model(fit: Fit, data: Dataset) -> ResidualModel:
     return ResidualModel(
         fit.machine, fit.free, data, fit.bandwidth, rows_per_block=mechanical_rows_per_block(data)
     )
+
+
+def _prediction_residual(model: ResidualModel, machine: Machine, run: PreparedRecording) -> Array:
+    """Return the residual of a run that another machine predicts, shape (1, rows)."""
+    predicted = predict(
+        machine, run, model.bandwidth, period=model.data.period, longest_step=model.longest_step
+    )
+    return model.residuals(run, predicted.readings)
 
 
 def _responses(

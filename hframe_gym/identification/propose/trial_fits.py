@@ -9,7 +9,8 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,7 +28,7 @@ from ..judge.error import FitError
 from ..predict.free_parameters import FreeParameter, default_free_parameters, values_at
 from ..predict.prediction import POLISH_STEP, SEARCH_BANDWIDTH, SIMULATION
 from .candidates import Candidate, SearchState, candidates, effect_parameters, is_required
-from .screening import ScoredCandidate, resemblances, screen, screen_structures
+from .screening import ScoredCandidate, Screening, resemblances, screen_structures
 
 # Effects that are fitted in place of a selected one because these runs may not distinguish them.
 _RESEMBLING = 3
@@ -37,7 +38,44 @@ _THRESHOLD_CHANGES = (-0.7, -0.35, 0.35, 0.7)
 _TRIAL_ITERATIONS, _TRIAL_TOLERANCE = 8, 1e-3  # a trial need not converge fully to be ranked
 
 
-def trial_fits(current: Fit, data: Dataset, enough: float, criteria: SelectionCriteria) -> list[Fit]:
+class ScreenedFit(NamedTuple):
+    """A fit with its candidates, for the next effect as well as for others in place of those that it has.
+
+    Attributes:
+        scales: Typical sizes on the machine.
+        screening: Fit, data, candidates, and the effects that may be replaced.
+    """
+
+    scales: TypicalScales
+    screening: Screening
+
+
+def screened_fit(current: Fit, data: Dataset, without: Mapping[str, Machine] | None = None) -> ScreenedFit:
+    """Propose candidates to a fitted machine, and linearize the residual with them.
+
+    A drive that begins each run in an unknown state, such as the heat of its winding, has another gain in each run. In
+    simulation, that would describe each run by itself, and no other one; an observer leaves little to describe so.
+
+    Args:
+        current: Fit of the machine.
+        data: Runs that were fitted.
+        without: By the label of an effect that may be replaced, the fitted machine without it. Default: none.
+    """
+    state = SearchState.of(current, data)
+    proposed = candidates(state)
+    if current.bandwidth == SIMULATION:
+        proposed = [c for c in proposed if c.effect.site != "drive" or c.effect.initial_spread is None]
+    spend(f"screening {len({c.label for c in proposed})} effects at their components ({current.mode})")
+    return ScreenedFit(state.scales, Screening.of(current, proposed, data, without or {}))
+
+
+def trial_fits(
+    current: Fit,
+    data: Dataset,
+    enough: float,
+    criteria: SelectionCriteria,
+    screened: ScreenedFit | None = None,
+) -> list[Fit]:
     """Fit the machine with each of the most promising effects, one at a time.
 
     A linearized model ranks the candidates by the reduction of chi-squared; the best few are fitted. If a parameter of
@@ -48,18 +86,23 @@ def trial_fits(current: Fit, data: Dataset, enough: float, criteria: SelectionCr
         current: Fit without candidates; the trials have its observer bandwidth.
         enough: Reduction of chi-squared per sample that the search requires, dimensionless. Candidates with a
             linearized reduction below 60 % of it (`criteria.linear_gain_ratio`) are not fitted.
+        screened: The fit with its candidates, if it is known already.
 
     Returns:
         Fits, not fully converged, in any order: machine, k parameters (theta, dimensionless, shape (k,)) and cost
         (chi-squared). One per effect and component, two where effects are also fitted from the declared parameters.
     """
-    trials = _trial_fits_from(current, current, data, enough, criteria)
+    trials: list[Fit] = []
+    if math.isfinite(current.cost):
+        trials = _trial_fits_from(screened or screened_fit(current, data), current, data, enough, criteria)
     # Those of effects stay as they are where the machine's begin anew.
     at_limit = any(f.at_limit(t) for f, t in zip(current.free, current.theta, strict=True) if not f.of_effect)
     if judge.may_be_local_minimum(
         current.error, criteria, any_trial=bool(trials), parameter_at_limit=at_limit
     ):
-        trials += _trial_fits_from(_at_declared_parameters(current, data), current, data, enough, criteria)
+        declared = _at_declared_parameters(current, data)
+        if math.isfinite(declared.cost):
+            trials += _trial_fits_from(screened_fit(declared, data), current, data, enough, criteria)
     return trials
 
 
@@ -77,13 +120,11 @@ def _declared_theta(fitted: Fit) -> Array:
 
 
 def _trial_fits_from(
-    start: Fit, current: Fit, data: Dataset, enough: float, criteria: SelectionCriteria
+    screened: ScreenedFit, current: Fit, data: Dataset, enough: float, criteria: SelectionCriteria
 ) -> list[Fit]:
-    """Return fits with the most promising candidates, ranked at the parameters of `start` and fitted from there."""
+    """Return fits with the most promising candidates, ranked at the parameters of a fit and fitted from there."""
     trials: list[Fit] = []
-    if not math.isfinite(start.cost):
-        return trials
-    scales, ranked = _ranked_candidates(start, data)
+    start, ranked = screened.screening.fit, screened.screening.ranked()
     # Largest linearized gain of a candidate that explains the data, and its effect.
     best_promise, explaining = 0.0, ""
     promising = _promising(start, ranked, data, enough, criteria)
@@ -95,7 +136,7 @@ def _trial_fits_from(
         elsewhere = scored.candidate.effect.name == explaining and scored.candidate.label not in fitted
         if elsewhere or judge.may_be_rival(scored.gain, best_promise, criteria):
             spend(f"trial fit {i + 1} of {len(promising)}: {scored.candidate.label}")
-            trial = fit_with_candidate(start, scored, scales, data, goal=goal)
+            trial = fit_with_candidate(start, scored, screened.scales, data, goal=goal)
             trials = _with_better_shape(trials, trial)
             if not explaining and judge.explains_alone(current.error, best_error(trials), criteria):
                 best_promise, explaining = scored.gain, scored.candidate.effect.name
@@ -147,20 +188,6 @@ def best_error(trials: list[Fit]) -> FitError | None:
     return min(trials, key=lambda trial: trial.cost).error if trials else None
 
 
-def _ranked_candidates(current: Fit, data: Dataset) -> tuple[TypicalScales, list[ScoredCandidate]]:
-    """Return typical sizes on the machine and its screened candidates, largest predicted reduction of cost first.
-
-    A drive that begins each run in an unknown state, such as the heat of its winding, has another gain in each run. In
-    simulation, that would describe each run by itself, and no other one; an observer leaves little to describe so.
-    """
-    state = SearchState.of(current, data)
-    proposed = candidates(state)
-    if current.bandwidth == SIMULATION:
-        proposed = [c for c in proposed if c.effect.site != "drive" or c.effect.initial_spread is None]
-    spend(f"screening {len({c.label for c in proposed})} effects at their components ({current.mode})")
-    return state.scales, screen(current, proposed, data)
-
-
 def indistinguishable(
     current: Fit, effect: AppliedEffect, largest_loss: float, data: Dataset
 ) -> list[AppliedEffect]:
@@ -194,28 +221,35 @@ def indistinguishable(
 
 
 def replacement_fit(
-    current: Fit, reduced: Fit, replaced: str, data: Dataset, criteria: SelectionCriteria
-) -> Fit | None:
+    current: Fit, label: str, screened: ScreenedFit, plain: Machine, criteria: SelectionCriteria
+) -> tuple[Fit, Fit] | None:
     """Replace one selected effect by the most promising other effect and fit the machine again.
 
     An effect that was selected while other effects were missing may represent a mixture of several causes.
 
     Args:
         current: Fit with all selected effects.
-        reduced: Fit without the effect to replace, at the same observer bandwidth.
-        replaced: Label (name@component) of the effect to replace.
+        label: Label (name@component) of the effect to replace.
+        screened: This fit with its candidates, and with this effect among those that may be replaced.
+        plain: Machine before effects were added (`without_effect`).
         criteria: Decision threshold `linear_gain_ratio`.
 
     Returns:
-        Converged fit: machine, k parameters (theta, dimensionless, shape (k,)) and cost (chi-squared), which may be
-        higher than that of `current`: the caller compares them. None if no other effect promises (linearized) at least
-        the fraction `linear_gain_ratio` of the cost reduction by the replaced effect.
+        Fit without the effect, and the converged fit with the other one: machine, k parameters (theta, dimensionless,
+        shape (k,)) and cost (chi-squared), which may be higher than that of `current`: the caller compares them. None
+        if no other effect promises (linearized) at least the fraction `linear_gain_ratio` of what the effect reduces
+        the cost by, or if the effect cannot be removed.
     """
-    scales, ranked = _ranked_candidates(reduced, data)
-    best = next((scored for scored in ranked if scored.candidate.label != replaced), None)
-    if best is None or not judge.may_replace(best.gain, reduced.cost - current.cost, criteria):
+    if label not in screened.screening.removed:
         return None
-    return converge(fit_with_candidate(reduced, best, scales, data), data, thorough=False)
+    data, (ranked, gain) = screened.screening.data, screened.screening.in_place_of(label)
+    if not ranked or not judge.may_replace(ranked[0].gain, gain, criteria):
+        return None
+    reduced = without_effect(current, label, data, plain, thorough=False)
+    if reduced is None:
+        return None
+    trial = fit_with_candidate(reduced, ranked[0], screened.scales, data)
+    return reduced, converge(trial, data, thorough=False)
 
 
 def fit_in_place_of(
@@ -374,6 +408,30 @@ def converge(trial: Fit, data: Dataset, *, thorough: bool) -> Fit:
     return min(continued, again, key=lambda candidate_fit: candidate_fit.cost)
 
 
+def machine_without(machine: Machine, label: str, plain: Machine) -> Machine | None:
+    """Return a machine without one of its effects, with the same parameters.
+
+    Args:
+        label: Label of the effect: its name and the component on which it acts, such as "cogging@motor1".
+        plain: Machine before effects were added. It is used only if the effect is structural (adds coordinates).
+
+    Returns:
+        Copy of the machine; None if another effect requires the effect or acts on a coordinate that the effect adds.
+    """
+    if is_required(machine, label):
+        return None
+    removed = next(e for e in machine.effects if e.label == label)
+    others = tuple(e for e in machine.effects if e is not removed)
+    if not removed.definition.structure:
+        return machine.replace(effects=others)
+    try:
+        reduced = plain.with_effects(*(e for e in others if e not in plain.effects))
+    except ValueError:
+        return None  # a site is missing
+    parameters = reduced.parameters
+    return reduced.replace({n: value for n, value in machine.parameters.items() if n in parameters})
+
+
 def without_effect(
     current: Fit, label: str, data: Dataset, plain: Machine, *, thorough: bool = True
 ) -> Fit | None:
@@ -388,27 +446,19 @@ def without_effect(
     Returns:
         The fit; None if another effect requires the effect or acts on a coordinate that the effect adds.
     """
-    if is_required(current.machine, label):
+    machine = machine_without(current.machine, label, plain)
+    if machine is None:
         return None
     removed = next(e for e in current.machine.effects if e.label == label)
-    others = tuple(e for e in current.machine.effects if e is not removed)
-    machine = current.machine.replace(effects=others)
-    if removed.definition.structure:
-        try:
-            machine = plain.with_effects(*(e for e in others if e not in plain.effects))
-        except ValueError:
-            return None  # a site is missing
-        kept_values = {
-            name: value for name, value in current.machine.parameters.items() if name in machine.parameters
-        }
-        machine = machine.replace(kept_values)
     kept = np.array([free.name in machine.parameters for free in current.free])
     free, theta = tuple(itertools.compress(current.free, kept)), current.theta[kept]
     if thorough:
         reduced = fit(machine, free, data, current.bandwidth, theta=theta, longest_step=POLISH_STEP)
     else:
         reduced = _trial_fit(machine, free, theta, current, data)
-    required = next((e for e in others if e.label == f"{removed.definition.requires}@{removed.site}"), None)
+    required = next(
+        (e for e in machine.effects if e.label == f"{removed.definition.requires}@{removed.site}"), None
+    )
     if required is None or required.parameters.keys() != removed.parameters.keys():
         return reduced
     # Of two effects of the same form, the removed one may be the larger: the other then takes its parameters.

@@ -44,11 +44,14 @@ from ..judge.rival import largest_resembling_loss
 from ..judge.trial import StructureEvidence
 from ..predict.prediction import SIMULATION
 from ..propose.trial_fits import (
+    ScreenedFit,
     best_error,
     converge,
     fit_with_effects,
     indistinguishable,
+    machine_without,
     replacement_fit,
+    screened_fit,
     structural_trial_fits,
     trial_fits,
     without_effect,
@@ -79,6 +82,9 @@ class EffectSearch:
         self.reached: Selection | None = None
         # Gain of the best candidate of the last step that failed a test, and that step; its trial fit is the first.
         self._doubted: tuple[float, Step] | None = None
+        self._screened: ScreenedFit | None = (
+            None  # fit with its candidates, where they were compared with others
+        )
         self._seconds = 0.0  # processor time for the fit and the tests of the last effect that passed, s
 
     def with_data(self, data: Dataset) -> EffectSearch:
@@ -266,7 +272,9 @@ class EffectSearch:
     def _passing(self, current: Fit, enough: float, *, structures: bool = False) -> Step | None:
         """Return a fit, and trial fits with one more effect, the one that passes all tests first; None if none does."""
         data, criteria = self.data, self._criteria
-        trials = trial_fits(current, data, enough, criteria)
+        screened, self._screened = self._screened, None
+        known = screened and screened.screening.fit is current and screened.screening.data is data
+        trials = trial_fits(current, data, enough, criteria, screened if known else None)
         structures = structures and self._worth_structures(current, trials)
         if structures:
             trials += structural_trial_fits(current, trials, data, enough, criteria)
@@ -295,11 +303,19 @@ class EffectSearch:
         data, criteria = self.data, self._criteria
         if only_noise_is_left(current.error, criteria):
             return current, selected
+        machines = {
+            s.effect.label: machine_without(current.machine, s.effect.label, self._plain) for s in earlier
+        }
+        without = {label: machine for label, machine in machines.items() if machine is not None}
+        if not without:
+            return current, selected
+        # The next step begins with the same candidates if nothing is replaced.
+        self._screened = screened_fit(current, data, without)
         for old in earlier:
-            reduced = without_effect(current, old.effect.label, data, self._plain, thorough=False)
-            better = reduced and replacement_fit(current, reduced, old.effect.label, data, criteria)
-            if reduced is None or better is None:
+            replaced = replacement_fit(current, old.effect.label, self._screened, self._plain, criteria)
+            if replaced is None:
                 continue
+            reduced, better = replaced
             enough = is_enough(current.error, better.error, required_gain(current.error, criteria))
             if not enough or doubt_about_candidate(reduced, better, data, criteria):
                 continue

@@ -13,6 +13,7 @@ from hframe_gym.identification.fit.typical_scales import typical_scales
 from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH, SIMULATION, predict
 from hframe_gym.identification.propose.candidates import Candidate
 from hframe_gym.identification.propose.screening import (
+    Screening,
     Unperturbed,
     candidate_perturbations,
     perturbed_machines,
@@ -111,6 +112,32 @@ def test_response_predicts_the_simulation_with_a_small_effect(
     error = perturbed.readings - exact.readings
     assert np.abs(change).max() > 1e-7
     assert np.abs(error).max() < 0.03 * np.abs(change).max()
+
+
+def test_another_effect_in_place_of_one_saves_what_a_fit_would(axis: Machine) -> None:
+    """A cable explains a part of what the constant force does; a force that falls with speed explains less."""
+    wrong = EFFECTS["constant_force"].at("x", size=0.1)
+    data = prepare([recorded(axis.with_effects(EFFECTS["cable_spring"].at("x", k=20.0, q0=0.0)))], axis)
+    machine = axis.with_effects(wrong)
+    free = default_free_parameters(machine)
+    fitted = fit(machine, free, data, SEARCH_BANDWIDTH)
+    bare = fitted.machine.replace(effects=())
+    others = CANDIDATES[1:]
+    ranked, gain = Screening.of(fitted, others, data, {wrong.label: bare}).in_place_of(wrong.label)
+    without = fit(axis, default_free_parameters(axis), data, SEARCH_BANDWIDTH)
+    assert gain == pytest.approx(without.cost - fitted.cost, rel=0.1, abs=0.02 * without.cost)
+    assert ranked[0].candidate.label == "cable_spring@x"
+    cable = axis.with_effects(ranked[0].candidate.applied(ranked[0].amounts))
+    found = fit(cable, default_free_parameters(cable), data, SEARCH_BANDWIDTH)
+    assert ranked[0].gain == pytest.approx(without.cost - found.cost, rel=0.1)
+
+
+def test_a_machine_that_diverges_without_an_effect_keeps_it(axis: Machine) -> None:
+    fitted, data = fit_without_effect(axis, 0.3)
+    diverging = axis.with_effects(EFFECTS["cable_spring"].at("x", k=-1e6, q0=0.01))
+    screening = Screening.of(fitted, CANDIDATES, data, {"constant_force@x": diverging})
+    assert screening.in_place_of("constant_force@x") == ([], np.inf)
+    assert screening.ranked()[0].candidate.label == "constant_force@x"
 
 
 def test_columns_of_several_candidates_keep_their_order(axis: Machine) -> None:

@@ -13,7 +13,7 @@ from hframe_gym.errors import InputError
 from hframe_gym.identification import STRATEGIES, Candidate, SearchState, default_free_parameters, fit
 from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH
 from hframe_gym.identification.propose.candidates import candidates
-from hframe_gym.identification.propose.trial_fits import _ranked_candidates
+from hframe_gym.identification.propose.trial_fits import screened_fit
 from hframe_gym.machine import Machine
 from tests.identification.single_axis import AXIS, axis_runs
 
@@ -50,7 +50,7 @@ def test_the_search_ranks_what_a_strategy_proposes(state: SearchState, known_per
     added = candidates(state)[len(library) :]
     assert [(c.label, c.columns[0]["L"]) for c in added] == [("position_friction@x", PERIOD)]
     current = fit(AXIS, default_free_parameters(AXIS), state.data, SEARCH_BANDWIDTH)
-    best = _ranked_candidates(current, state.data)[1][0]
+    best = screened_fit(current, state.data).screening.ranked()[0]
     assert best.candidate.columns[0]["L"] == PERIOD
 
 

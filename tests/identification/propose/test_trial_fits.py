@@ -77,7 +77,7 @@ def test_two_shapes_of_an_effect_are_fitted(axis: Machine) -> None:
     rig = axis.with_effects(EFFECTS["position_friction"].at("x", A=0.5, L=0.03, p=0.0))
     data = prepare(recordings(rig, 2), axis)
     current = fit(axis, default_free_parameters(axis), data, SEARCH_BANDWIDTH)
-    _, ranked = trial_fits._ranked_candidates(current, data)
+    ranked = trial_fits.screened_fit(current, data).screening.ranked()
     promising = trial_fits._promising(current, ranked, data, 1e-6, SelectionCriteria(min_promise=0.0))
     labels = [scored.candidate.label for scored in promising]
     assert max(labels.count(label) for label in labels) == 2
