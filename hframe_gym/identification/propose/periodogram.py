@@ -82,7 +82,15 @@ def periodogram_peaks(motion: Array, sampling_period: float, *, factor: Array | 
 
 
 def block_means(values: Array, rows: int) -> Array:
-    """Return the means of blocks of successive rows, shape (n // rows, ...), of values of any unit, shape (n, ...)."""
+    """Average blocks of successive rows, such as the rows of `periodogram_peaks`.
+
+    Args:
+        values: Values of any unit, shape (n, ...).
+        rows: Number of rows of a block; rows that do not fill the last one are left out.
+
+    Returns:
+        Means in the same unit, shape (n // rows, ...).
+    """
     complete = len(values) // rows * rows
     return np.asarray(values[:complete].reshape(-1, rows, *values.shape[1:]).mean(axis=1))
 

@@ -339,7 +339,14 @@ class Unperturbed:
         self.readings = self.readings_of(equations)
 
     def readings_of(self, equations: Equations) -> list[Array]:
-        """Return the reading of each sensor by a machine with effects, (n,) or (columns, n) each."""
+        """Return the ideal reading of each sensor along the motion.
+
+        Args:
+            equations: Equations of the machine, with effects or without.
+
+        Returns:
+            Readings in the sensors' units, shape (n,) each, or (columns, n) for several variants of an effect.
+        """
         return equations.sensor_readings(*self._columns)
 
 
