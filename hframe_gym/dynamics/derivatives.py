@@ -133,10 +133,7 @@ class DifferentiableMotion:
         self._radii: dict[int, tuple[int, float]] = {}  # column and factor by coordinate; others are linear
         for i, coordinate in enumerate(machine.coordinates):
             if coordinate.kind == "rotary":
-                name, factor = f"{coordinate.name}.radius", 1.0
-                while name in machine.ties:
-                    name, tie = machine.ties[name]
-                    factor *= tie
+                name, factor = machine.untied(f"{coordinate.name}.radius")
                 self._radii[i] = names.index(name), factor
 
     @property

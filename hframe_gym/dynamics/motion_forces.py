@@ -157,8 +157,6 @@ def effect_forces(
     motion = (time_s, positions, velocities, inputs)
     if effects is None:
         effects, machine = machine.effects, dataclasses.replace(machine, effects=())
-        # Coordinates that structural effects added stay. Ties refer to parameters of the removed effects: drop them.
-        machine = dataclasses.replace(machine, ties={})
     # An effect can change any term of the equations, so the difference of two evaluations is its force.
     complete = dataclasses.replace(machine, effects=(*machine.effects, *effects))
     return net_forces(complete, *motion) - net_forces(machine, *motion)
@@ -230,7 +228,7 @@ def law_torques(
     torques = np.zeros((len(time_s), len(machine.drives)))
     if not machine.drive_laws:
         return torques
-    equations = Equations(dataclasses.replace(machine, effects=(), ties={}))
+    equations = Equations(dataclasses.replace(machine, effects=()))
     voltages = list(inputs.T)
     states = effect_states(equations, time_s, positions, velocities, voltages)
     point = equations.point(positions, velocities, time_s, states)

@@ -47,7 +47,7 @@ def structure(machine: Machine, effect: AppliedEffect) -> Machine:
         for s in machine.sensors
         if s.coordinate == carriage.name
     ]
-    mass, factor = machine.ties.get(f"{carriage.name}.mass", (f"{carriage.name}.mass", 1.0))
+    mass, factor = machine.untied(f"{carriage.name}.mass")
     ties = {"frame.mass": (mass, factor)}
     ties |= {f"frame.{friction}": (f"{effect.label}.zeta", 0.0) for friction in ("viscous", "coulomb")}
     return machine.with_components(frame, *sensors, ties=ties)

@@ -1,7 +1,9 @@
 """Backlash of the gear between a motor, whose angle the encoder measures, and the pulley or load behind it.
 
 The coordinate of the drive becomes the motor's side of the gap; the belts act on a coordinate behind it, with the
-inertia J, the dry friction F and the viscous friction B, which the motor's side loses. The teeth have the stiffness K
+inertia J, the dry friction F and the viscous friction B, which the motor's side loses. A motor without belts turns its
+load over the gap: no sensor need measure this load, because the motor turns without its inertia until the teeth touch.
+Other effects at the coordinate, such as the weight of an arm, stay on the motor's side. The teeth have the stiffness K
 and push where the angles of both sides differ by more than d, half the gap. Their damping ratio Z, from 0 (elastic) to
 1 (without rebound), ends the rebounds.
 """
@@ -10,7 +12,7 @@ import dataclasses
 from collections.abc import Mapping
 
 from ..dynamics.elementwise import maximum, minimum, sqrt, where
-from ..machine import AppliedEffect, Belt, Coordinate, Effect, EffectParameter, Machine
+from ..machine import AppliedEffect, Belt, Effect, EffectParameter, Machine
 from .belt_play import beyond_play
 
 _LEAST_SHARE = 0.2  # of inertia and friction that remains before the gap
@@ -33,18 +35,18 @@ def _names(machine: Machine, site: str) -> tuple[str, str, str]:
     return near, f"{near}_load", EFFECT.belt.format(site=site)
 
 
-def fits(machine: Machine) -> bool:
-    """Return whether belts carry the force of a drive on: behind the gap of a motor alone, nothing is measured."""
-    return bool(machine.belts)
-
-
 def fits_site(machine: Machine, site: str) -> bool:
-    """Return whether belts run on the coordinate of a drive, no other drive moves it, and the names are not in use."""
+    """Return whether something can be behind a gap at a drive, no other drive moves it, and the names are not in use.
+
+    Belts can, and the load of a motor alone: while the teeth do not touch, the motor turns without its inertia, which
+    its own encoder and current show. A carriage that a motor moves directly would be two axes of the tool.
+    """
     near, far, teeth = _names(machine, site)
     drives = [d for d in machine.drives if d.coordinate == near]
     on_belts = any(near in b.extension for b in machine.belts)
+    has_load = on_belts or machine.coordinate(near).kind == "rotary"
     free = far not in machine.coordinate_names and teeth not in (b.name for b in machine.belts)
-    return len(drives) == 1 and on_belts and free and f"{near}.mass" not in machine.ties
+    return len(drives) == 1 and has_load and free and f"{near}.mass" not in machine.ties
 
 
 def structure(machine: Machine, effect: AppliedEffect) -> Machine:
@@ -60,7 +62,7 @@ def structure(machine: Machine, effect: AppliedEffect) -> Machine:
         coulomb=max(whole.coulomb - values["F"], _LEAST_SHARE * whole.coulomb),
         viscous=max(whole.viscous - values["B"], _LEAST_SHARE * whole.viscous),
     )
-    load = Coordinate(far, values["J"], values["B"], values["F"], kind=whole.kind, radius=whole.radius)
+    load = dataclasses.replace(whole, name=far, mass=values["J"], viscous=values["B"], coulomb=values["F"])
     per_travel = 1.0 / whole.travel_per_unit**2
     ties = {
         f"{far}.mass": (f"{effect.label}.J", 1.0),
@@ -89,7 +91,6 @@ EFFECT = Effect(
     source="Nordin and Gutman 2002, Automatica 38(10), the dead-zone model",
     tension=tension,
     structure=structure,
-    fits=fits,
     fits_site=fits_site,
     impacts=True,
     parameters=(

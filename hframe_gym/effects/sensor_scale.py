@@ -12,12 +12,13 @@ def measurement(r, g):  # type: ignore[no-untyped-def]
 
 
 def fits(machine: Machine) -> bool:
-    """Return whether a scale error can be identified on a machine, which needs more sensors than rigid-body motions.
+    """Return whether a scale error can be identified: more sensors measure motion than there are rigid-body motions.
 
     If a single sensor measures an axis, a scale error cannot be distinguished from masses and forces that are wrong by
-    the same factor.
+    the same factor. Nor does the current of the motor tell them apart, whose back-EMF constant may be wrong as well.
     """
-    return len(machine.sensors) > max(1, len(rigid_motions(machine)))
+    of_motion = [sensor for sensor in machine.sensors if sensor.sensed.component == "coordinate"]
+    return len(of_motion) > max(1, len(rigid_motions(machine)))
 
 
 def equivalent_site(machine: Machine, site: str, other: str) -> bool:

@@ -31,10 +31,8 @@ def _parameter_values(machine: Machine, name: str, values: Array) -> Array:
 
     A tied parameter is a factor times the parameter to which it is tied.
     """
-    if name in machine.ties:
-        free, factor = machine.ties[name]
-        return factor * _parameter_values(machine, free, values)
-    return values[:, list(machine.parameters).index(name)]
+    owner, factor = machine.untied(name)
+    return factor * values[:, list(machine.parameters).index(owner)]
 
 
 def units_per_travel(machine: Machine, values: Array) -> Array:

@@ -57,7 +57,7 @@ def effect_and_belt_limits(machine: Machine, smallest_fraction: float) -> dict[s
         smallest = smallest_fraction * belt.rest_length - sum(map(min, changes))
         # A tied rest_length is a factor times that of another belt, which must then be large enough for both.
         name = f"{belt.name}.rest_length"
-        free_name, factor = machine.ties.get(name, (name, 1.0))
+        free_name, factor = machine.untied(name)
         other_limit, _ = bounds.get(free_name, (0.0, math.inf))
         bounds[free_name] = (max(smallest / factor, other_limit), math.inf)
     return bounds
@@ -183,10 +183,7 @@ class EndStops:
         self._stiffness, self._damping = BUFFER_STIFFNESS / per_meter**2, BUFFER_DAMPING / per_meter
         columns, factors = [], []  # masses are factors times parameters
         for axis in machine.tool_axes:
-            name, factor = f"{axis}.mass", 1.0
-            while name in machine.ties:
-                name, tie = machine.ties[name]
-                factor *= tie
+            name, factor = machine.untied(f"{axis}.mass")
             columns.append(parameters.index(name))
             factors.append(factor)
         self._columns, self._factors = np.array(columns), np.array(factors)

@@ -202,7 +202,7 @@ class _Loads:
     def __init__(self, machine: Machine, parameters: Array) -> None:
         values = dict(zip(machine.parameters, parameters.T, strict=True))
         # Hooke's law and Ohm's law; effects on belts and currents are not included.
-        self._equations = Equations(machine.replace(effects=()), values)
+        self._equations = Equations(machine.replace(effects=()), machine.with_tied(values))
 
     def largest_tension(self, travel: Array) -> Array:
         """Return the largest difference (B,) of tension and pretension, N, over samples of the travel (k, B, n), m."""

@@ -58,7 +58,8 @@ class Machine:
         uncertainty: Covariance of the parameters, if they were identified.
         description: One sentence for people.
         ties: Parameters that equal a factor times another parameter, by full name, for example {"phi3.radius":
-            ("phi1.radius", 1.0)}. An effect that adds coordinates ties their parameters to its parameters.
+            ("phi1.radius", 1.0)}. An effect that adds coordinates ties their parameters to its parameters; without
+            the effect, they keep their values and are parameters of their own.
     """
 
     name: str
@@ -70,6 +71,14 @@ class Machine:
     uncertainty: Uncertainty | None = None
     description: str = ""
     ties: Mapping[str, tuple[str, float]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Drop ties to parameters of effects that the machine does not have."""
+        if self.ties:
+            components: tuple[Component, ...] = (*self.coordinates, *self.belts, *self.drives)
+            owners = {*(c.label for c in components), *(e.label for e in self.effects)}
+            kept = {tied: tie for tied, tie in self.ties.items() if tie[0].rpartition(".")[0] in owners}
+            object.__setattr__(self, "ties", kept)
 
     @cached_property
     def coordinate_names(self) -> tuple[str, ...]:
@@ -318,6 +327,19 @@ class Machine:
             values |= {f"{effect.label}.{key}": value for key, value in effect.parameters.items()}
         return values
 
+    def untied(self, name: str) -> tuple[str, float]:
+        """Return the parameter to which a parameter is tied (`ties`), itself if it is not, and the factor."""
+        factor = 1.0
+        while name in self.ties:
+            name, tie = self.ties[name]
+            factor *= tie
+        return name, factor
+
+    def with_tied(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Return values of parameters by full name, numbers or arrays, with those of the parameters tied to them."""
+        owners = {tied: self.untied(tied) for tied in self.ties}
+        return {**values, **{n: factor * values[o] for n, (o, factor) in owners.items() if o in values}}
+
     @cached_property
     def device_parameters(self) -> dict[str, float]:
         """Parameters of sensors and drives that do not enter the equations of motion, by full name.
@@ -385,13 +407,11 @@ class Machine:
             KeyError: If a name in `values` is not a parameter of this machine.
             TypeError: If a machine has no attribute of a name in `fields`.
         """
-        values = dict(values or {})
+        values = values or {}
         unknown = sorted(set(values) - set(self.parameters) - set(self.device_parameters))
         if unknown:
             raise KeyError(f"machine {self.name!r} has no parameter {', '.join(unknown)}")
-        values |= {
-            tied: factor * values[name] for tied, (name, factor) in self.ties.items() if name in values
-        }
+        values = self.with_tied(values)
         changed = {name.rpartition(".")[0] for name in values}
 
         def with_values(parts: Sequence[Any]) -> tuple[Any, ...]:

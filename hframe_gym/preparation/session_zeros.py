@@ -87,7 +87,7 @@ def refine_encoder_zeros(data: Dataset, machine: Machine, reference: Dataset | N
         return data
     states = [run.initial for run in runs]
     errors = encoder_zero_errors(machine, states)
-    bare = dataclasses.replace(machine, effects=(), ties={})
+    bare = dataclasses.replace(machine, effects=())
     # Effects that change nothing at rest, such as those of friction, give no reason to correct zeros of all runs by the
     # median of some (chi-squared 1.64 instead of 1.07 in a log with interpolated voltages).
     if np.allclose(errors, encoder_zero_errors(bare, states), rtol=0.0, atol=1e-9):

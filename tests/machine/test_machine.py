@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from hframe_gym.dynamics import Equations
 from hframe_gym.effects import EFFECTS
 from hframe_gym.errors import InputError
 from hframe_gym.machine import (
@@ -37,6 +38,21 @@ def test_device_parameters_list_sensors_and_converters_with_their_units(hframe: 
     assert units["x_m.resolution"] == "m"
     assert units["motor2.converter_bits"] == "1"
     assert units["motor2.voltage_range"] == "V"
+
+
+def test_a_machine_without_its_effects_has_no_ties_to_them() -> None:
+    """What an effect has added keeps its values as parameters of its own; other ties remain."""
+    gap = EFFECTS["gear_backlash"].at("motor", d=1e-3, J=4e-6, F=1e-3, B=0.0, K=10.0, Z=0.5)
+    whole = BUILTIN_MACHINES["motor"]().with_effects(gap)
+    assert whole.untied("shaft_load.mass") == ("gear_backlash@motor.J", 1.0)
+    bare = whole.replace(effects=())
+    assert list(bare.ties) == ["shaft_load.radius"]
+    assert bare.parameters["shaft_load.mass"] == 4e-6
+    assert Equations(bare).parameter("shaft_load.coulomb") == 1e-3
+    # With other values of the effect's parameters, those tied to them follow.
+    values = whole.with_tied({"gear_backlash@motor.F": np.array([1e-3, 2e-3]), "shaft.radius": 0.5})
+    np.testing.assert_array_equal(Equations(bare, values).parameter("shaft_load.coulomb"), [1e-3, 2e-3])
+    assert values["shaft_load.radius"] == 0.5
 
 
 @pytest.mark.parametrize(

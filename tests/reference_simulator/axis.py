@@ -67,6 +67,35 @@ class Stepper:
 
 
 @dataclass(frozen=True)
+class Gap:
+    """A load behind the gap of a gear; the inertia and friction of the axis are then those before the gap, SI.
+
+    Attributes:
+        half: Half the gap, rad.
+        stiffness: Of the teeth, Nm/rad.
+        damping: Of the teeth where they touch, Nms; they never pull.
+        inertia: Of the load, kg m^2.
+        viscous: Viscous friction of the load, Nms.
+        coulomb: Dry friction of the load, Nm.
+    """
+
+    half: float
+    stiffness: float
+    damping: float
+    inertia: float
+    viscous: float
+    coulomb: float
+
+    def torque(self, twist: float, rate: float) -> float:
+        """Return the torque of the teeth on the load, Nm, for a twist, motor minus load, rad, and its rate, rad/s."""
+        pressed = abs(twist) - self.half
+        if pressed <= 0.0:
+            return 0.0
+        side = 1.0 if twist > 0.0 else -1.0
+        return side * max(self.stiffness * pressed + self.damping * side * rate, 0.0)
+
+
+@dataclass(frozen=True)
 class Axis:
     """Parameters of the axis and of its drive, SI; positions in rad.
 
@@ -79,6 +108,7 @@ class Axis:
         bandwidth_hz: Of an amplifier that controls the current; 0 for one that applies the commanded voltage.
         limit_A: Largest current of such an amplifier.
         servo: Servo or stepper motor that follows the command, in place of the motor and its amplifier.
+        gap: Gap of a gear between the axis and its load.
     """
 
     inertia: float = 2e-4
@@ -89,6 +119,7 @@ class Axis:
     bandwidth_hz: float = 0.0
     limit_A: float = float("inf")
     servo: Servo | Stepper | None = None
+    gap: Gap | None = None
 
 
 class Record(NamedTuple):
@@ -122,6 +153,7 @@ def record(axis: Axis, command: Callable[[int], float], rows: int, period_s: flo
     """
     steps, h = round(period_s / STEP_S), STEP_S
     q = v = sent = acceleration = lagged = integral = 0.0
+    load_q = load_v = teeth = 0.0
     torque_per_amp = axis.servo.gear if axis.servo else axis.torque_constant
     decay = np.exp(-2.0 * np.pi * axis.bandwidth_hz * h)
     table = np.empty((rows, 5))
@@ -136,7 +168,7 @@ def record(axis: Axis, command: Callable[[int], float], rows: int, period_s: flo
 
     for row in range(rows):
         current = amps()
-        force = torque_per_amp * current - axis.viscous * v
+        force = torque_per_amp * current - axis.viscous * v - teeth
         if row:
             held = min(max(force, -axis.coulomb), axis.coulomb) if v == 0.0 else np.copysign(axis.coulomb, v)
             acceleration = (force - held) / axis.inertia
@@ -147,12 +179,24 @@ def record(axis: Axis, command: Callable[[int], float], rows: int, period_s: flo
             torque = torque_per_amp * amps() - axis.viscous * v
             if axis.servo:
                 integral += h * axis.servo.torque(sent, q, v, integral)[1]
-            free = v + h * torque / axis.inertia
-            impulse = h * axis.coulomb / axis.inertia
-            after = free - impulse if free > impulse else free + impulse if free < -impulse else 0.0
+            if gap := axis.gap:
+                # In the middle of the step, so that the teeth neither gain nor lose energy.
+                teeth = gap.torque(q - load_q + 0.5 * h * (v - load_v), v - load_v)
+                torque -= teeth
+                load_after = braked(
+                    load_v + h * (teeth - gap.viscous * load_v) / gap.inertia, h * gap.coulomb / gap.inertia
+                )
+                load_q += h * 0.5 * (load_v + load_after)
+                load_v = load_after
+            after = braked(v + h * torque / axis.inertia, h * axis.coulomb / axis.inertia)
             q += h * 0.5 * (v + after)
             v = after
     return Record(np.arange(rows) * period_s, *table.T)
+
+
+def braked(speed: float, change: float) -> float:
+    """Return a speed after dry friction, which changes it by at most `change` and not beyond zero."""
+    return speed - change if speed > change else speed + change if speed < -change else 0.0
 
 
 def held_levels(seed: int, rows: int, hold: int, largest: float, at_rest: int = 50) -> Callable[[int], float]:

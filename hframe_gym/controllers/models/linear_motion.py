@@ -32,10 +32,12 @@ class LinearMotion:
         )  # per belt travel, (belts, n)
         # Coulomb friction, N, is the value of its parameter over a unit, times the force of this unit. The unit is the
         # declared value, because voltages are then bit for bit those of the stored scores; 1 N where that is 0.
-        names = [f"{name}.coulomb" for name in model.machine.coordinate_names]
-        declared = np.array([model.machine.parameters[name] for name in names])
-        self._coulomb_columns = [list(model.machine.parameters).index(name) for name in names]
-        self._coulomb_unit = np.where(declared, declared, model.machine.travel_per_unit)
+        owners, factors = zip(
+            *(model.machine.untied(f"{name}.coulomb") for name in model.machine.coordinate_names), strict=True
+        )
+        declared = np.array([model.machine.parameters[name] for name in owners])
+        self._coulomb_columns = [list(model.machine.parameters).index(name) for name in owners]
+        self._coulomb_unit = np.where(declared, declared, model.machine.travel_per_unit / np.array(factors))
         self._force_of_unit = np.where(declared, model.coulomb, 1.0)
 
     def matrices(self, parameters: ParameterRows, position: ToolPositions) -> tuple[Array, Array, Array]:
@@ -50,7 +52,8 @@ class LinearMotion:
             E: Input matrices of a force on each coordinate, m/N and m/(Ns), shape (B, 2 n, n).
         """
         model, n, drives = self._model, len(self._model.mass), len(self._model.rated)
-        equations = Equations(self._machine, dict(zip(model.machine.parameters, parameters.T, strict=True)))
+        by_name = dict(zip(model.machine.parameters, parameters.T, strict=True))
+        equations = Equations(self._machine, model.machine.with_tied(by_name))
         travel = position @ model.rigid.T
         belts = equations.belt_states(MotionPoint(list(travel.T), list(np.zeros_like(travel).T)))
         values = [belt.stiffness for belt in belts] + [equations.mass(i) for i in range(n)]

@@ -235,7 +235,8 @@ class TimeOptimalReach:
     def _rigid_time(self, distance: Array, values: Array) -> float:
         """Return the approximate time of the rigid stage, s: that of its slowest axis, to first order in damping."""
         by_name = dict(zip(self.machine.parameters, values.tolist(), strict=True))
-        equations = Equations(dataclasses.replace(self.machine, effects=()), by_name)
+        without_effects = dataclasses.replace(self.machine, effects=())
+        equations = Equations(without_effects, self.machine.with_tied(by_name))
         n = len(self.machine.coordinates)
         mass = np.array([equations.mass(i) for i in range(n)]) @ self._rigid**2
         viscous = np.array([equations.viscous(i, 1.0) for i in range(n)]) @ self._rigid**2

@@ -176,8 +176,7 @@ def _resolving_step(machine: Machine, longest_step: float) -> float:
 
 def _operating_point(machine: Machine, position: ArrayLike | None) -> tuple[Equations, Array]:
     """Return the equations of a machine without its effects, and the operating point as an array of floats."""
-    # The coordinate of a structural effect stays; its parameters are tied to those of the effect, which is removed.
-    equations = Equations(dataclasses.replace(machine, effects=(), ties={}))
+    equations = Equations(dataclasses.replace(machine, effects=()))
     count = len(machine.coordinates)
     return equations, np.zeros(count) if position is None else np.asarray(position, float)
 

@@ -89,8 +89,7 @@ def linear_model(machine: Machine, position: Array) -> LinearModel:
     nominal = linearize(machine, position)
     kept = tuple(e for e in machine.effects if _linear(e))
     with_effects = Equations(_without_dry_friction(machine, kept))
-    # A structural effect ties parameters of the coordinates that it adds to its parameters, so ties go with effects.
-    without = Equations(dataclasses.replace(_without_dry_friction(machine, ()), ties={}))
+    without = Equations(_without_dry_friction(machine, ()))
     steps = np.concatenate(
         [np.repeat(_STEPS[:2], n) / np.tile(machine.travel_per_unit, 2), np.full(drives, _STEPS[2])]
     )

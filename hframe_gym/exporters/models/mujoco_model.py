@@ -194,7 +194,7 @@ def belt_stiffness(machine: Machine, position: Array | None) -> list[float]:
     """Compute the stiffness of belts, N/m, without effects, at `position`, m or rad, shape (coordinates,), or 0."""
     if position is None:
         return [b.EA / b.rest_length for b in machine.belts]
-    nominal = machine.replace(effects=(), ties={})
+    nominal = machine.replace(effects=())
     return [float(belt.stiffness) for belt in belt_states(nominal, position)] if machine.belts else []
 
 

@@ -172,7 +172,8 @@ class InverseDynamics:
             position: Tool position, m, one value per axis.
             forces: Force that each coordinate needs, N, one value per coordinate.
         """
-        equations = Equations(dataclasses.replace(self.machine, effects=(), ties={}), values)
+        without_effects = dataclasses.replace(self.machine, effects=())
+        equations = Equations(without_effects, self.machine.with_tied(values or {}))
         travel = self._along(position)
         belts = equations.belt_states(MotionPoint(travel, [0.0] * len(travel)))
         rows = [self.machine.coefficients(b.extension) for b in self.machine.belts]

@@ -184,7 +184,7 @@ def _inverse_dynamics(
     # The voltages are delayed already.
     prompt = dataclasses.replace(machine, effects=tuple(e for e in machine.effects if not e.definition.delay))
     coordinates = tuple(dataclasses.replace(c, viscous=0.0, coulomb=0.0) for c in machine.coordinates)
-    frictionless = dataclasses.replace(machine, coordinates=coordinates, effects=(), ties={})
+    frictionless = dataclasses.replace(machine, coordinates=coordinates, effects=())
     drive = net_forces(frictionless, time_s, position, velocity, voltages)
     mass = np.array([c.mass for c in machine.coordinates])
     inertial = mass * np.gradient(np.gradient(position, time_s, axis=0), time_s, axis=0)

@@ -308,8 +308,8 @@ def perturbed_machines(machine: Machine, candidates: Sequence[Candidate]) -> lis
 
 
 def _without_effects(machine: Machine) -> Machine:
-    """Return a machine without effects; ties refer to their parameters, the machine's already have their values."""
-    return dataclasses.replace(machine, effects=(), ties={})
+    """Return a machine without effects; coordinates that they added stay."""
+    return dataclasses.replace(machine, effects=())
 
 
 class Unperturbed:
