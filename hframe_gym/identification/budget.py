@@ -27,7 +27,8 @@ from ..errors import InputError
 from ..machine import Machine
 
 DEFAULT_SECONDS = 120.0  # of processor time, whatever the number of cores; an engineer waits a minute or two
-SECOND_SEARCH_PART = 0.6  # part of the budget after which no search with other held-out runs begins
+# Part of the budget after which no second search begins: with other held-out runs, or another number of voltages.
+SECOND_SEARCH_PART = 0.6
 COMPARISON_PART = 0.85  # part after which no comparison of the runs with each other begins
 LAST_STAGE_END = (
     0.9  # part after which no stage goes on; simulations of held-out runs and report take some seconds
@@ -295,6 +296,12 @@ def error_so_far() -> float | None:
     """
     budget = _ACTIVE.get()
     return None if budget is None else budget.error
+
+
+def may_begin_again() -> bool:
+    """Ask the active budget, if there is one, whether a second search would have time."""
+    budget = _ACTIVE.get()
+    return budget is None or budget.has_time(SECOND_SEARCH_PART)
 
 
 def seconds_spent() -> float:

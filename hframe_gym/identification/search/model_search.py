@@ -188,13 +188,19 @@ class ModelSearch:
         return outcome
 
     def _tested_early(self, tests: Budget) -> tuple[Found, Decision | None]:
-        """Return the effects that pass the tests, and the decision about them; none where the tests do not end."""
+        """Return the effects that pass the tests, and the decision about them; none where the tests do not end.
+
+        Where the search had not reached the effects that an earlier one selected, these are tested.
+        """
         search = self._searches[-1] if self._searches else None
-        after, effects = (search and search.reached) or (self.before, ())
+        after, effects = (search and search.reached) or (self.before, self._known)
         untested: tuple[ConsideredEffect, ...] = ()
-        if search and effects:
+        if effects:
+            search = search or self._first_search
             try:
                 with tests.limiting():
+                    if search.reached is None:
+                        after, effects = search.start_with(after, effects)
                     if (found := self._passed) is None:
                         for s in effects:
                             search.considered.pop(s.effect.label, None)

@@ -60,6 +60,9 @@ class ScriptedSearch:
                 bandwidth = script.bandwidth if script.simulated is None else 30.0
                 return fit_with(*(s.effect for s in found), chi2=script.after, bandwidth=bandwidth), found
 
+            def start_with(self, current: Fit, known: tuple[SelectedEffect, ...]) -> Any:
+                return self.run(current, known)
+
             def with_indistinguishable(self, current: Fit, chosen: tuple[SelectedEffect, ...]) -> Any:
                 script.end("rivals")
                 return chosen
@@ -105,7 +108,7 @@ class ScriptedSearch:
                 script.end("tables") or (script.tables.pop(0) if script.tables else (start, known))
             ),
             "fit_with_moved_knots": lambda fitted, data, criteria: fitted,
-            "contradicting_run": lambda fitted, data: script.suspect,
+            "contradicting_run": lambda fitted, data: script.end("runs") or script.suspect,
             "find_run_differences": lambda fitted, data, criteria: script.differences,
             "without_effect": lambda fitted, label, data, plain: fit_with(chi2=script.before),
             "best_by_run": lambda fitted, data: script.differences,
@@ -122,9 +125,9 @@ class ScriptedSearch:
             self.ends_in = ""
             raise BudgetEndedError
 
-    def run(self) -> SearchOutcome:
+    def run(self, known: tuple[SelectedEffect, ...] = ()) -> SearchOutcome:
         """Search in four runs."""
-        return search.search_effects(AXIS, runs("abcd"), CRITERIA, lambda line: None)
+        return search.search_effects(AXIS, runs("abcd"), CRITERIA, lambda line: None, known=known)
 
 
 @pytest.fixture
@@ -169,6 +172,17 @@ def test_effects_that_fail_a_test_are_not_named_wherever_the_budget_ends(
     outcome = scripted_search.run()
     assert bool(outcome.unfinished) == bool(ends_in)
     assert [s.effect for s in outcome.selected] == [PUSH]
+
+
+def test_a_search_that_ends_before_it_begins_tests_the_effects_of_the_one_before(
+    scripted_search: ScriptedSearch,
+) -> None:
+    """A search with another number of voltages between the rows began when its time was over, and lost two effects."""
+    scripted_search.after = scripted_search.with_effects = scripted_search.wide = 1.0
+    scripted_search.ends_in = "runs"
+    outcome = scripted_search.run(known=(selected(PUSH), selected(SPRING)))
+    assert outcome.unfinished
+    assert [s.effect for s in outcome.selected] == [PUSH, SPRING]
 
 
 @pytest.mark.parametrize(("chi2", "expected"), [(1.4, {"a": (3.0, 1.0)}), (1.6, {})])
