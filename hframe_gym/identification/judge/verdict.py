@@ -219,6 +219,15 @@ def explains_most(evidence: PartialEvidence, criteria: SelectionCriteria) -> boo
     return wide < limit * wide_before or error < limit * error_before
 
 
+def less_well_than_by_run(parameter: str) -> str:
+    """Return why effects that may differ from run to run are removed, a clause that follows "it ".
+
+    Args:
+        parameter: Name of the parameter whose values by run explain more.
+    """
+    return f"explains the runs less well than another value of {parameter} in each run"
+
+
 def verdict_of_effects(
     any_effect: bool, drift: str, explained: Callable[[], bool]
 ) -> tuple[Verdict, str] | None:
@@ -233,7 +242,7 @@ def verdict_of_effects(
         Verdict, and a clause that follows "it " if effects are removed; None where a table may explain the error.
     """
     if drift:
-        return "unexplained", f"explains the runs less well than another value of {drift} in each run"
+        return "unexplained", less_well_than_by_run(drift)
     if explained():
         return ("effect_found" if any_effect else "no_effect"), ""
     return None

@@ -35,6 +35,7 @@ from ..judge.verdict import (
     PartialEvidence,
     Verdict,
     imitates_drift,
+    less_well_than_by_run,
     verdict_of_effects,
     verdict_of_rest,
 )
@@ -415,7 +416,25 @@ class ModelSearch:
         accurate = self._explains(simulated) or not self._explains(current)
         if simulated.bandwidth == SIMULATION != current.bandwidth and accurate:
             current, effects = search.prune(simulated, effects)
-        return self._within_limits(Found(current, effects, tuple(search.considered.values())), search)
+        found = self._within_limits(Found(current, effects, tuple(search.considered.values())), search)
+        return self._without_imitations(found, search)
+
+    def _without_imitations(self, found: Found, search: EffectSearch) -> Found:
+        """Remove effects that only imitate a parameter which differs from run to run; others must hold without them."""
+        imitations = [s for s in found.effects if _may_differ_by_run(s.effect.definition)]
+        others = tuple(s for s in found.effects if s not in imitations)
+        drift = self._imitated_drift(found.fitted) if imitations and others else ""
+        reduced: Fit | None = found.fitted if drift else None
+        for s in imitations:
+            data = self._data_of(found.fitted)
+            reduced = reduced and without_effect(reduced, s.effect.label, data, self.before.machine)
+        if reduced is None:  # the verdict removes all effects, if these cannot be removed alone
+            return found
+        considered = found.considered + self._removed(
+            found.fitted, tuple(imitations), less_well_than_by_run(drift)
+        )
+        reduced, others = search.prune(reduced, tuple(s.with_values(reduced.machine) for s in others))
+        return self._within_limits(Found(reduced, others, considered), search)
 
     def _with_tables(self, found: Found) -> Found | None:
         """Return a model with tables, alone or beside the selected effects, if it explains the residual."""
