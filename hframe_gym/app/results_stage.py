@@ -14,7 +14,7 @@ from .stage import Stage, State, banner, heading
 
 _TITLES = {
     "effect_found": "Effects found.",
-    "no_effect": "No effect is missing.",
+    "no_effect": "No missing effect found.",
     "unexplained": "Unexplained.",
 }
 # The report is a page; its frame grows with it, so that there is one bar for scrolling.

@@ -54,6 +54,7 @@ from hframe_gym.identification.predict.voltage_errors import (
     with_voltage_errors,
 )
 from hframe_gym.identification.report.remainder import reason_of_remainder
+from hframe_gym.identification.report.verdict_words import verdict_sentence
 from hframe_gym.identification.validate.evaluation import _quiet
 from hframe_gym.machine import BUILTIN_MACHINES
 from hframe_gym.recordings import Recording
@@ -268,9 +269,12 @@ def test_a_log_with_held_voltages_or_few_rows_is_not_fitted_by_instruments() -> 
         assert fit_slow_log(least_squares(), with_errors()) is least_squares()
 
 
-def test_the_error_that_unknown_voltages_cause_excludes_no_effect() -> None:
-    """Effects that hide behind it left up to 44 times the noise of the sensors."""
+def test_unknown_voltages_explain_the_error_of_an_exact_machine() -> None:
+    """The report says that they may hide effects."""
     result = identify([every(controlled(seed), UPDATES) for seed in range(4)], AXIS)
-    assert result.verdict == "unexplained"
+    assert result.verdict == "no_effect"
     assert not result.effects
+    assert result.left is not None
+    assert result.left > 2.0  # times the noise
     assert "the unknown voltages between the rows may cause" in reason_of_remainder(result.as_report())
+    assert "what changes the motion by less cannot be found" in verdict_sentence(result.as_report())
