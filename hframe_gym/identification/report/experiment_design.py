@@ -119,11 +119,14 @@ def design_discriminating_experiment(
         data: Runs that were fitted.
 
     Returns:
-        Design of the run with its voltages, V, shape (n, drives). None if the identified effect is structural, if no
-        rival remains, if the machine with the rival diverges, or if `separate_machines` finds no run.
+        Design of the run with its voltages, V, shape (n, drives). None if the identified effect is structural or no
+        effect of the fit (the range of a saturated sensor follows from the measurements), if no rival remains, if the
+        machine with the rival diverges, or if `separate_machines` finds no run.
     """
     present = {e.label: e for e in current.machine.effects}
-    effect = present[label]
+    effect = present.get(label)
+    if effect is None:
+        return None
     alternatives = [
         r
         for r in rivals

@@ -122,6 +122,8 @@ def test_rival_of_a_fit_is_fitted_and_separated() -> None:
     assert design is not None
     assert design.separates == LABELS
     assert design_discriminating_experiment(fitted, corrected, LABELS[0], (), data) is None
+    # The range of a saturated sensor follows from the measurements and is no effect of the fit.
+    assert design_discriminating_experiment(fitted, corrected, "sensor_range@x_m", (), data) is None
 
 
 def with_sensors(machine: Machine, *channels: str) -> Machine:
