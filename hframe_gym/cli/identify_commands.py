@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 _Log = Callable[[str], None]
 _INTERRUPTED = 130  # exit code after Ctrl-C, as of every command; the result of the search so far was written
-_Fit = Callable[..., Any]  # `_fit_rig` with the options of the command
+_Identification = Callable[..., Any]  # `_check_and_identify` with the options of the command
 
 
 @app.command(cls=CommandWithChoices)
@@ -92,42 +92,44 @@ def identify(
         other = Path("out", runs_dir.resolve().name)
         raise InputError(f"--out {out}: is the folder of the recordings; give another one, such as {other}")
     declared, rigs = load_machine(machine), rig_folders(runs_dir)
-    fit = partial(_fit_rig, declared, hold_out or (), force, budget)
+    check_and_identify = partial(_check_and_identify, declared, hold_out or (), force, budget)
     with locked_folder(output_folder(out)):
         if rigs or ray is not None:
             outputs = {rig: out / rig.name for rig in rigs} or {runs_dir: out}
             read = [
                 _Rig(rig, folder, _runs_or_error(rig, declared, max_rows)) for rig, folder in outputs.items()
             ]
-            _identify_rigs(fit, read, jobs or 1, ray)
+            _identify_rigs(check_and_identify, read, jobs or 1, ray)
             return
         if jobs:
             os.environ["HFRAME_THREADS"] = str(jobs)
-        result, problem = _identify_rig(fit, runs_dir, _load_runs(runs_dir, declared, max_rows), out)
-    if problem is not None and not isinstance(problem, ImportError):
-        raise problem
-    log(f"wrote {out / 'report.html'}" if problem is None else f"report.html not written: {problem}")
+        result, page_error = _identify_rig(
+            check_and_identify, runs_dir, _load_runs(runs_dir, declared, max_rows), out
+        )
+    if page_error is not None and not isinstance(page_error, ImportError):
+        raise page_error
+    log(f"wrote {out / 'report.html'}" if page_error is None else f"report.html not written: {page_error}")
     log(f"Next: {next_command(result.verdict, result.after.machine, out)}")
     if result.unfinished is not None and result.unfinished.interrupted:
         raise typer.Exit(_INTERRUPTED)
 
 
 def _identify_rig(
-    fit: _Fit, runs_dir: Path, recordings: list[Recording], out: Path
+    check_and_identify: _Identification, runs_dir: Path, recordings: list[Recording], out: Path
 ) -> tuple[IdentificationResult, Exception | None]:
-    """Identify one rig, write and print its result; return it with the error of the page, if there is one."""
+    """Identify one rig, write and print its result; return it with the error that prevented report.html, if any."""
     from ..identification.report.verdict_words import verdict_sentence
     from .tables.identification import effect_lines, identification_table
 
     with search_progress(log) as progress:
-        result, findings = fit(runs_dir, recordings, log, progress)
-    report, problem = _write_rig(result, findings, runs_dir, out, out, log)
+        result, findings = check_and_identify(runs_dir, recordings, log, progress)
+    report, page_error = _write_rig(result, findings, runs_dir, out, out, log)
     console.print(identification_table(report))
     log(f"Result: {verdict_sentence(report)}")
     for line in effect_lines(report):
         log(f"  {line}")
     _log_notes(result, findings)
-    return result, problem
+    return result, page_error
 
 
 def _log_notes(result: IdentificationResult, findings: Sequence[Finding]) -> None:
@@ -162,11 +164,11 @@ def _runs_or_error(folder: Path, machine: Machine, max_rows: int) -> list[Record
         return error
 
 
-def _fit_rig(
+def _check_and_identify(
     machine: Machine,
     hold_out: Sequence[str],
     force: bool,
-    seconds: float | None,
+    budget_s: float | None,
     folder: Path,
     recordings: list[Recording],
     log: _Log,
@@ -176,7 +178,7 @@ def _fit_rig(
     from ..identification import identify as run_identification
     from ..identification.budget import DEFAULT_SECONDS, Budget
 
-    budget = Budget(DEFAULT_SECONDS if seconds is None else seconds, progress=progress)
+    budget = Budget(DEFAULT_SECONDS if budget_s is None else budget_s, progress=progress)
     findings = check_recordings_before_fit(recordings, machine, None if force else folder, log)
     with finishing_on_interrupt(budget) if progress else nullcontext():  # of several rigs, Ctrl-C ends all
         return run_identification(recordings, machine, held_out=hold_out, log=log, budget=budget), findings
@@ -190,7 +192,19 @@ def _write_rig(
     out: Path,
     log: _Log,
 ) -> tuple[Report, Exception | None]:
-    """Write the files of a result, for `out`; return report.json, and the error of the page, which loses no result."""
+    """Write the files of a result to a folder; an error in report.html is returned, so that the others are kept.
+
+    Args:
+        result: Result of the identification.
+        findings: What was found in the recordings before the fit.
+        runs_dir: Folder of the recordings.
+        folder: Folder to write; of a worker, a temporary one.
+        out: Folder in which the user finds the files, as the page names it.
+        log: Called with a line of text.
+
+    Returns:
+        Content of report.json, and the error that prevented report.html; None if it was written.
+    """
     from ..data_validation import group_findings
     from ..identification import write_result
     from ..identification.report.page import build_report
@@ -224,7 +238,7 @@ class _IdentifiedRig(NamedTuple):
     exit_code: int = 0
 
 
-def _identify_rigs(fit: _Fit, rigs: list[_Rig], jobs: int, ray: str | None) -> None:
+def _identify_rigs(check_and_identify: _Identification, rigs: list[_Rig], jobs: int, ray: str | None) -> None:
     """Identify rigs in worker processes; the errors of some end the command after the others are complete."""
     errors: list[_IdentifiedRig] = []
     done = 0
@@ -246,33 +260,35 @@ def _identify_rigs(fit: _Fit, rigs: list[_Rig], jobs: int, ray: str | None) -> N
             progress(done, len(rigs))
 
         progress(0, len(rigs))
-        run = partial(_identify_in_worker, fit, not console.is_terminal)
+        run = partial(_identify_in_worker, check_and_identify, not console.is_terminal)
         for _ in map_tasks(run, rigs, jobs=jobs, ray=ray, completed=write):
             pass
     if errors:
         raise typer.Exit(min(identified.exit_code for identified in errors))
 
 
-def _identify_in_worker(fit: _Fit, show_progress: bool, rig: _Rig) -> _IdentifiedRig:
-    """Identify a rig in a temporary folder."""
+def _identify_in_worker(check_and_identify: _Identification, show_lines: bool, rig: _Rig) -> _IdentifiedRig:
+    """Identify a rig in a temporary folder; print what it does line by line, or nothing beside the command's bar."""
     from ..identification.report.verdict_words import verdict_sentence
 
     def log(line: str) -> None:
-        if show_progress:
+        if show_lines:
             with closed_output_tolerated():
                 print(plain_text(f"{rig.runs_dir.name}: {line}"))
 
     try:
         if isinstance(rig.recordings, InputError):
             raise rig.recordings
-        result, findings = fit(rig.runs_dir, rig.recordings, log)
-        (report, problem), files = files_of(
+        result, findings = check_and_identify(rig.runs_dir, rig.recordings, log)
+        (report, page_error), files = files_of(
             lambda folder: _write_rig(result, findings, rig.runs_dir, folder, rig.out, log)
         )
-        if problem is not None and not isinstance(problem, ImportError):
-            return _IdentifiedRig(describe_failure(problem)[1], files, INTERNAL_ERROR)
+        if page_error is not None and not isinstance(page_error, ImportError):
+            return _IdentifiedRig(describe_failure(page_error)[1], files, INTERNAL_ERROR)
         verdict = verdict_sentence(report)
-        return _IdentifiedRig(verdict if problem is None else f"{verdict} No report.html: {problem}", files)
+        return _IdentifiedRig(
+            verdict if page_error is None else f"{verdict} No report.html: {page_error}", files
+        )
     except Exception as error:  # the other rigs must not be lost
         code, line = describe_failure(error)
         return _IdentifiedRig(line, {}, code)
