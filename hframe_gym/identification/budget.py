@@ -27,7 +27,8 @@ from ..errors import InputError
 from ..machine import Machine
 
 DEFAULT_SECONDS = 120.0  # of processor time, whatever the number of cores; an engineer waits a minute or two
-# Part of the budget after which no second search begins: with other held-out runs, or another number of voltages.
+# Part of the budget after which no second search begins: with other held-out runs, or with another number of voltage
+# changes between the rows.
 SECOND_SEARCH_PART = 0.6
 COMPARISON_PART = 0.85  # part after which no comparison of the runs with each other begins
 LAST_STAGE_END = (

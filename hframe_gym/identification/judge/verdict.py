@@ -39,9 +39,9 @@ class VerdictEvidence:
         reduction: By how much the effects reduce the squared error of predictions / by how much they do if they are
             right, which is the square of their change of the predictions, dimensionless.
         voltages_known: Whether the log contains all voltages.
-        predicted: Chi-squared per sample of predictions with the effects, of what noise and unknown voltages cause: the
-            larger one of the widest observer and the one that judges effects. Only of a log that is slower than its
-            controller.
+        predicted: Chi-squared per sample of predictions, of what noise and unknown voltages cause: the larger one of
+            the widest observer and the one that judges effects. Only where no effect is named, of a log that is slower
+            than its controller.
     """
 
     left: float
@@ -129,7 +129,8 @@ def contradiction_of_no_effect(evidence: VerdictEvidence, criteria: SelectionCri
     """
     explained = criteria.max_noise_ratio_explained * (1.0 if evidence.voltages_known else _SIZE_OF_VOLTAGES)
     if not evidence.left <= explained:
-        return f"{evidence.in_words}, and an error is only explained by it up to {explained:g} times its size"
+        allowed = f"; up to {explained:g} times counts as explained" if math.isfinite(evidence.left) else ""
+        return f"{evidence.in_words}{allowed}"
     if not evidence.predicted < criteria.explained_chi2:
         return (
             f"predictions of the held-out runs have a chi-squared per sample of {evidence.predicted:.3g}, and noise "

@@ -289,7 +289,7 @@ def _evidence(evaluated: Evaluated, differing: Sequence[str]) -> VerdictEvidence
 
     before, after = errors(evaluated.before), errors(evaluated.after)
     motion = after.motion_ratio
-    quiet = _quiet(evaluated, agreeing)
+    quiet, names = _quiet(evaluated, agreeing), evaluated.outcome.selected
     return VerdictEvidence(
         left=finite(after.noise_ratio),
         left_before=finite(before.noise_ratio),
@@ -297,12 +297,12 @@ def _evidence(evaluated: Evaluated, differing: Sequence[str]) -> VerdictEvidence
         lacking=finite(after.lacking),
         remaining_prediction=_remaining_prediction(evaluated, quiet, JUDGING_BANDWIDTH),
         voltages_known=not validation.has_voltage_errors,
-        predicted=_predicted(evaluated, quiet) if validation.has_voltage_errors else 1.0,
+        predicted=1.0 if names or not validation.has_voltage_errors else _predicted(evaluated, quiet),
     )
 
 
 def _predicted(evaluated: Evaluated, validation: Dataset) -> float:
-    """Return chi-squared per sample of the predictions with the effects: the larger one of two observers."""
+    """Return chi-squared per sample of the predictions: the larger one of two observers."""
     return max(
         prediction_cost(evaluated.after.machine, validation, bandwidth, longest_step=POLISH_STEP)
         / validation.count
