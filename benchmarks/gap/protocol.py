@@ -10,6 +10,7 @@ to them.
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
 import re
@@ -44,13 +45,25 @@ SATURATED = 1.0 - 1e-6  # fraction of the rated voltage from which a command cou
 # on the path would have no error otherwise.
 LARGEST_LAG_M = 0.02
 _DECIMALS = 6
-_ADDED_SINCE = (
-    ", backlash_motor_viscous=0.6",
-    ", backlash_damping=0.0",
-    ", mesh_phase=(0.0, 0.0)",
-    ", mesh_unloaded=1.0",
-    ", coasting_V=(0.0, 0.0)",
-)  # fields that rigs have got since, with values that change no plant
+# Fields of the parts of a plant when the protocol was published. Later ones count where they change a plant.
+_FIELD_NAMES = """
+    mass viscous coulomb pulley_radius_m belt_EA_N belt_length_m length_follows gear_ratio torque_constant
+    emf_constant resistance_ohm stribeck_force stribeck_velocity stribeck_exponent friction_wave
+    friction_wavelength friction_phase friction_slope friction_cross_position friction_cross_speed
+    friction_cold friction_stale friction_stale_path warm_up_s friction_age friction_age_s
+    friction_age_path friction_per_run bristle_stiffness bristle_damping hysteresis_force
+    hysteresis_travel dahl_force dahl_travel constant_force viscous_asymmetry quadratic_drag brake_drag
+    brake_speed spring_stiffness spring_rest spring_square wave_force wave_number wave_phase wave_second
+    catch_force catch_position catch_width drive_gain voltage_offset_V dead_band_V current_limit_A
+    voltage_limit_V electrical_lag_s input_delay_s heating_loss heating_s heating_ohm torque_saturation_A
+    dead_time_V dead_time_A supply_V supply_ohm supply_s load_friction current_ripple current_ripple_order
+    backlash_rad backlash_stiffness backlash_motor_fraction eccentricity_m eccentricity_phase belt_play_m
+    belt_damping_s belt_damping_factor belt_energy_force belt_pretension_N belt_hardening belt_relaxation
+    belt_relaxation_s belt_creep mesh_force_N mesh_pitch_m mesh_tension_N idlers yaw payload frame inertia
+    stiffness half_width_m mass_kg skew scale range_x_m range_y_m delay_s bend wave wave_period kind note
+    euler_step_s energy_force hysteresis colored jitter_s bad_gain glitch_m
+"""
+_FIELDS = frozenset(_FIELD_NAMES.split())
 _NOISE, _PRACTICE_NOISE = 1000, 2000  # offsets of the seeds of the sensors' noise
 
 Values = dict[str, list[float | None]]
@@ -98,10 +111,22 @@ def compute_digest() -> str:
 
 def _described(part: object) -> str:
     """Return a part of a plant as text, with numbers of 9 digits, which do not depend on the processor."""
-    text = repr(part)
-    for field in _ADDED_SINCE:
-        text = text.replace(field, "")
-    return re.sub(r"-?\d+\.\d+(e[+-]?\d+)?", lambda match: f"{float(match[0]):.9g}", text)
+    return re.sub(r"-?\d+\.\d+(e[+-]?\d+)?", lambda match: f"{float(match[0]):.9g}", as_text(part))
+
+
+def as_text(part: Any) -> str:
+    """Return a part of a plant like `repr`, without fields that are newer than the protocol and change no plant."""
+    if isinstance(part, tuple):
+        return f"({', '.join(map(as_text, part))}{',' if len(part) == 1 else ''})"
+    if not dataclasses.is_dataclass(part):
+        return repr(part)
+    values = {f.name: (getattr(part, f.name), f.default) for f in dataclasses.fields(part)}
+    shown = (
+        f"{name}={as_text(value)}"
+        for name, (value, default) in values.items()
+        if name in _FIELDS or value != default
+    )
+    return f"{type(part).__name__}({', '.join(shown)})"
 
 
 def check() -> None:

@@ -1,6 +1,6 @@
 """Scale error of a sensor: it measures (1 + g) times the true value r, with a constant relative error g.
 
-The scale error of an encoder on a pulley has the same effect on the measurements as a wrong pulley radius.
+The scale error of an encoder on a pulley or screw has the same effect on the measurements as a wrong travel per turn.
 """
 
 from ..machine import Effect, EffectParameter, Machine, rigid_motions
@@ -46,7 +46,7 @@ EFFECT = Effect(
     formula="measurement = (1 + g) r",
     source="sensor calibration error",
     measurement=measurement,
-    equivalent=("a pulley's radius",),
+    equivalent=("a wrong travel per turn (radius of a pulley, lead of a screw)",),
     equivalent_site=equivalent_site,
     fits=fits,
     fits_site=Machine.measures_position,

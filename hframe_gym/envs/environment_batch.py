@@ -183,11 +183,15 @@ class EnvironmentBatch:
 
     # -- step ------------------------------------------------------------------------------------------------------
 
-    def check_actions(self, actions: Any) -> NDArray[Any]:
-        """Check that `reset` was called, and check and convert actions, shape (count, drives)."""
+    def check_actions(self, actions: Any, *, single: bool = False) -> NDArray[Any]:
+        """Check that `reset` was called, and check and convert actions, shape (count, drives).
+
+        Args:
+            single: Whether messages speak of the action of a single environment.
+        """
         if not self._was_reset:
             raise error.ResetNeeded("call reset before step")
-        return check_actions(actions, self._expected_shape, self.machine)
+        return check_actions(actions, self._expected_shape, self.machine, single=single)
 
     def require_reset(self, method: str) -> None:
         """Raise gymnasium.error.ResetNeeded if `reset` was not called; the message names the method."""

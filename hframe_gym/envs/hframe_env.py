@@ -179,7 +179,8 @@ class HFrameEnv(BatchProperties, gym.Env[Observation, NDArray[np.float32]]):
             NotFiniteError: If a position or velocity is not finite (simulation diverged).
         """
         batch, result = self.batch, self._result
-        observation = self._first(batch.step(batch.check_actions(np.asarray(action)[None]), result))
+        checked = batch.check_actions(np.asarray(action)[None], single=True)
+        observation = self._first(batch.step(checked, result))
         if self.render_mode is not None:
             self._update_picture()
         info = self._info(result.distance.item(), result.contour)

@@ -83,6 +83,14 @@ def test_published_plants_are_those_of_the_digest(monkeypatch: pytest.MonkeyPatc
         protocol.check()
 
 
+@pytest.mark.parametrize(("bow", "same"), [(0.0, True), (5.0, False)])
+def test_a_newer_field_of_a_rig_counts_only_where_it_changes_the_plant(bow: float, same: bool) -> None:
+    """An effect that the simulator gets later leaves the digest as it is."""
+    newer = dataclasses.make_dataclass("Rig", [("friction_bow", float, 0.0)], bases=(Rig,), frozen=True)
+    text = protocol.as_text(Rig(coulomb=(1.0, 2.0, 3.0, 4.0)))
+    assert (protocol.as_text(newer(coulomb=(1.0, 2.0, 3.0, 4.0), friction_bow=bow)) == text) == same
+
+
 def test_plants_hide_zero_to_three_effects_and_every_second_of_each_number_a_residue() -> None:
     plants = [draw_plant(PUBLIC_SEED, index) for index in range(COUNT)]
     assert [len(plant.effects) for plant in plants] == [0, 1, 2, 3] * 6

@@ -157,7 +157,7 @@ def test_an_action_that_is_not_finite_is_refused(value):
     env = HFrameEnv()
     env.reset(seed=0)
     before = env.batch.simulator.state.copy()
-    with pytest.raises(ValueError, match=r"environment 0, motor2: .* is not finite"):
+    with pytest.raises(ValueError, match=r"^action of motor2: .* is not finite"):
         env.step(np.array([0.0, value]))
     np.testing.assert_array_equal(env.batch.simulator.state, before)
 
@@ -165,7 +165,9 @@ def test_an_action_that_is_not_finite_is_refused(value):
 def test_an_action_of_another_shape_is_refused():
     env = HFrameEnv()
     env.reset(seed=0)
-    with pytest.raises(ValueError, match="shape"):
+    with pytest.raises(
+        ValueError, match=r"^the action has shape \(3,\); give \(2,\), a number for each drive"
+    ):
         env.step(np.zeros(3))
 
 

@@ -129,10 +129,15 @@ def action_space(machine: Machine) -> spaces.Box:
     return spaces.Box(-1.0, 1.0, (len(machine.drives),), np.float32)
 
 
-def check_actions(actions: Any, shape: tuple[int, int], machine: Machine) -> NDArray[Any]:
+def check_actions(
+    actions: Any, shape: tuple[int, int], machine: Machine, *, single: bool = False
+) -> NDArray[Any]:
     """Check that actions have the required shape (environments, drives) and are finite; convert them to floats.
 
     They may exceed [-1, 1]; the actuators limit them. float32 stays float32, all others become float64.
+
+    Args:
+        single: Whether the caller has one environment, and its action no axis of environments; messages then have none.
 
     Raises:
         ValueError: If actions are not numbers, have another shape, or an entry is not finite.
@@ -140,13 +145,22 @@ def check_actions(actions: Any, shape: tuple[int, int], machine: Machine) -> NDA
     values = np.ascontiguousarray(actions)
     if values.dtype != _FLOAT32:
         if values.dtype.kind not in "fiub":
-            raise ValueError(f"actions have the type {values.dtype}, they must be numbers")
+            given = "the action is" if single else "actions are"
+            raise ValueError(f"{given} of the type {values.dtype}; give numbers")
         values = values.astype(np.float64, copy=False)
     if values.shape != shape:
-        raise ValueError(f"actions have shape {values.shape}, they must have {shape}")
+        drives = ", ".join(drive.name for drive in machine.drives)
+        if single:
+            raise ValueError(
+                f"the action has shape {values.shape[1:]}; give {shape[1:]}, a number for each drive ({drives})"
+            )
+        raise ValueError(
+            f"actions have shape {values.shape}; give {shape}, for each environment a number for each drive ({drives})"
+        )
     if not _all_finite(values):
         b, k = np.argwhere(~np.isfinite(values))[0].tolist()
-        raise ValueError(f"action of environment {b}, {machine.drives[k].name}: {values[b, k]} is not finite")
+        of = "" if single else f"environment {b}, "
+        raise ValueError(f"action of {of}{machine.drives[k].name}: {values[b, k]} is not finite")
     return values
 
 

@@ -213,7 +213,7 @@ def describe_run_differences(
         best = min(explaining, key=lambda each: (not each.differs, each.chi2))
         return RunDifferencesInWords((str(best),), explain=True)
     nearest = min(found, key=lambda each: each.chi2, default=None)
-    alone = nearest and judge.differs_alone(nearest.different_run, nearest.chi2, nearest.chi2_before)
+    alone = nearest and judge.run_that_differs_alone(nearest.different_run, nearest.chi2, nearest.chi2_before)
     return RunDifferencesInWords((str(nearest),) if alone else ())
 
 

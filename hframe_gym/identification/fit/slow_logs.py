@@ -46,7 +46,7 @@ from ...arrays import Array
 from ...machine import Machine
 from ...preparation.dataset import Dataset, PreparedRecording
 from ..budget import goes_on, spend
-from ..judge.observer import simulates_runs_best
+from ..judge.observer import index_of_best_simulation
 from ..predict.free_parameters import bounded_step, prior_precision, values_at
 from ..predict.linearization import ResidualModel
 from ..predict.prediction import (
@@ -256,7 +256,7 @@ def fit_slow_log(fitted: Fit, data: Dataset) -> Fit:
     Returns:
         Fit with the same observer. `fitted` itself if the voltages are held, the rows are too few, the steps do not
         converge, the time of a stage that must deliver is used up, or instruments do not simulate left-out runs better
-        (`judge.observer.simulates_runs_best`).
+        (`judge.observer.index_of_best_simulation`).
     """
     if not data.has_voltage_errors or not _are_enough(data) or not goes_on():
         return fitted
@@ -283,7 +283,7 @@ def _weight_of_instruments(fitted: Fit, data: Dataset) -> float:
             return 0.0
         machines = (_between(by_squares, by_instruments, weight)[1] for weight in _WEIGHTS)
         costs.append([prediction_costs(m, others, SIMULATION, longest_step=POLISH_STEP) for m in machines])
-    return _WEIGHTS[simulates_runs_best(np.concatenate(costs, axis=1))]
+    return _WEIGHTS[index_of_best_simulation(np.concatenate(costs, axis=1))]
 
 
 def _between(by_squares: Fit, by_instruments: _Estimate, weight: float) -> _Estimate:

@@ -56,7 +56,7 @@ def best_in_simulation(
     return alternative if product < least else best
 
 
-def simulates_runs_best(costs: Array) -> int:
+def index_of_best_simulation(costs: Array) -> int:
     """Return the index of the machines that simulate runs best, all runs counting alike.
 
     Args:

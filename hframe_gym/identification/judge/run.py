@@ -173,7 +173,7 @@ def differs_in_a_parameter(suspect: str, different_run: str | None, chi2: float,
     return different_run == suspect and chi2 < AS_GOOD * chi2_others
 
 
-def differs_alone(different_run: str | None, chi2: float, chi2_before: float) -> str | None:
+def run_that_differs_alone(different_run: str | None, chi2: float, chi2_before: float) -> str | None:
     """Return the name of the only run that needs another value of a quantity, if the run is more likely wrong.
 
     It is if one value for all runs leaves far more than a value in each. An effect that only this run excites raises

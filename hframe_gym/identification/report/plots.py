@@ -62,7 +62,9 @@ def report_panels(
         tables, is empty.
     """
     present = {effect.label for effect in declared.effects}
+    gains = {f"{effect.name}@{effect.site}": effect.held_out_gain for effect in report.effects}
     added = [effect for effect in machine.effects if effect.label not in present]
+    added.sort(key=lambda effect: -gains.get(effect.label, 0.0))  # as the page lists them
     effect_curves = (effect_curve(effect, machine, curves) for effect in added)
     worst = (list(runs) or report.runs.held_out)[0]
     return {

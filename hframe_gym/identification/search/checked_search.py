@@ -24,7 +24,7 @@ from ..fit.start_estimation import refine_dataset
 from ..fit.voltage_updates import can_show_updates, describe_interpolation, voltage_updates
 from ..judge.criteria import SelectionCriteria
 from ..judge.held_out import HeldOutEffect, refuted_effects
-from ..judge.run import MIN_RUNS_COMPARED, differs_alone, exchanges_held_out
+from ..judge.run import MIN_RUNS_COMPARED, exchanges_held_out, run_that_differs_alone
 from ..predict.free_parameters import default_free_parameters
 from ..predict.prediction import SEARCH_BANDWIDTH
 from ..predict.voltage_errors import with_voltage_errors
@@ -240,7 +240,7 @@ def _different_run(
     if not 1 < len(data.runs) < MIN_RUNS_COMPARED <= len(everything.runs):
         return None
     found = find_run_differences(refitted, everything, criteria)
-    different = found and differs_alone(found.different_run, found.chi2, found.chi2_before)
+    different = found and run_that_differs_alone(found.different_run, found.chi2, found.chi2_before)
     return different if different in [run.name for run in data.runs] else None
 
 

@@ -43,9 +43,12 @@ def load_machine(source: str | Path | Machine) -> Machine:
         return BUILTIN_MACHINES[str(source)]()
     path = Path(source)
     if not path.is_file():
+        inside = path / "machine.json"  # of a result or a folder of recordings
+        meant = (
+            f"; did you mean {str(inside)!r}?" if inside.is_file() else suggestion(source, BUILTIN_MACHINES)
+        )
         raise InputError(
-            f"machine {str(source)!r} is neither a file nor one of {', '.join(BUILTIN_MACHINES)}"
-            f"{suggestion(source, BUILTIN_MACHINES)}"
+            f"machine {str(source)!r} is neither a file nor one of {', '.join(BUILTIN_MACHINES)}{meant}"
         )
     text = read_document(path)
     try:

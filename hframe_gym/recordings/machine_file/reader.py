@@ -31,7 +31,7 @@ from ...machine import (
     Uncertainty,
     Variant,
 )
-from ...registry import Registry
+from ...registry import PLUGIN_VARIABLE, Registry
 from .plausibility import implausible_values
 from .schema import (
     EFFECT_FIELDS,
@@ -42,6 +42,7 @@ from .schema import (
     UncertaintyEntry,
 )
 
+_OWN_PART = f"if it is one of your own, name its Python file in the environment variable {PLUGIN_VARIABLE}"
 MAX_TEXT = 1000  # characters of a name or description
 # Signs that separate or quote the columns of files; "@" separates effects from sites.
 _NOT_IN_COLUMNS = (",", ";", '"', "'", "@")
@@ -112,7 +113,7 @@ class MachineReader:
         """Return an error that names the file and the field, such as "drives.motor1.Kt", and says what to do."""
         return InputError(f"{self.path}: {field}: {reason}")
 
-    def _has_none(self, field: str, variant: Variant, kinds: Iterable[str]) -> InputError:
+    def _not_a_field(self, field: str, variant: Variant, kinds: Iterable[str]) -> InputError:
         """Return an error for a field that a component lacks, with the kinds of the component that have it."""
         having = ", ".join(filter(None, dict.fromkeys(kinds)))
         return self._error(
@@ -146,7 +147,7 @@ class MachineReader:
                 kinds = [
                     kind for (kind, _), other in component.variants().items() if key in other.own(component)
                 ]
-                raise self._has_none(f"{field}.{key}", variant, kinds)
+                raise self._not_a_field(f"{field}.{key}", variant, kinds)
         values = dict(variant.absent)
         for key, attribute in own.items():
             name, given = attribute.name, getattr(entry, key)
@@ -193,7 +194,11 @@ class MachineReader:
         """Refuse a kind that is not registered; `Registry.get` would import the module of a name "module:kind"."""
         if kind not in registry:
             choices = ", ".join(registry)
-            raise self._error(field, f"{registry.kind} {kind!r} is not registered; choose one of {choices}")
+            raise self._error(
+                field,
+                f"{registry.kind} {kind!r} is not registered; choose one of {choices}; {_OWN_PART}"
+                f"{suggestion(kind, registry)}",
+            )
 
     def _check_row(
         self,
@@ -306,7 +311,7 @@ class MachineReader:
             if not effect_field.fits(kind):
                 registry: Any = component.kinds
                 kinds = [name for name in registry if effect_field.fits(registry.get(name))]
-                raise self._has_none(place, variant, kinds)
+                raise self._not_a_field(place, variant, kinds)
             if effect_field.number is None:
                 self._check_interval(place, given)
             else:
@@ -344,8 +349,7 @@ class MachineReader:
         except KeyError:
             raise self._error(
                 field,
-                f"no such effect; there are {', '.join(EFFECTS)}{suggestion(entry.name, EFFECTS)}. If it is one of "
-                "your own, name its Python file in the environment variable HFRAME_PLUGINS",
+                f"no such effect; there are {', '.join(EFFECTS)}; {_OWN_PART}{suggestion(entry.name, EFFECTS)}",
             ) from None
         sites = effect_sites(definition, machine)
         # A file may declare sites that no search tries, and already has the components that a structural effect adds.

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from hframe_gym.identification.judge.observer import best_in_simulation, likeliest, simulates_runs_best
+from hframe_gym.identification.judge.observer import best_in_simulation, index_of_best_simulation, likeliest
 
 
 @pytest.mark.parametrize(
@@ -64,4 +64,4 @@ def test_the_final_fit_has_the_smallest_product_of_costs(
     ],
 )
 def test_machines_simulate_best_if_all_runs_together_say_so(others: list[list[float]], best: int) -> None:
-    assert simulates_runs_best(np.array([[10.0, 10.0], *others])) == best
+    assert index_of_best_simulation(np.array([[10.0, 10.0], *others])) == best

@@ -147,7 +147,9 @@ def test_the_scales_of_two_sensors_of_one_axis_are_the_same_in_every_recording(
     """A run that decides between them had been promised."""
     scale = EFFECTS["sensor_scale"]
     assert scale.is_equivalent(machine, "x_m", "sensor_scale@tape_m") == equivalent
-    assert scale.is_equivalent(machine, "x_m", "a pulley's radius")
+    assert scale.is_equivalent(
+        machine, "x_m", "a wrong travel per turn (radius of a pulley, lead of a screw)"
+    )
     assert not scale.is_equivalent(machine, "x_m", "sensor_delay@tape_m")
 
 

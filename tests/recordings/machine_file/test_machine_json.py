@@ -78,6 +78,10 @@ def rename(path: list[Any], field: str, other: str) -> Callable[[dict[str, Any]]
             change(["sensors", 0, "kind"], "magic"),
             "sensors.phi1_rad.kind: sensor kind 'magic' is not registered; choose one of encoder",
         ),
+        (
+            change(["sensors", 0, "kind"], "lasr"),
+            "name its Python file in the environment variable HFRAME_PLUGINS; did you mean 'laser'",
+        ),
         (change(["drives", 0, "converter_bits"], 40), "drives.motor1.converter_bits"),
         (change(["sensors", 2, "range"], [0.1, -0.1]), "sensors.x_m.range: must be [lowest, highest]"),
         (change(["belts", 1, "name"], "left"), "must all differ; 'left' occurs twice"),
@@ -272,6 +276,12 @@ def test_a_sensor_kind_that_a_user_registers_is_accepted_by_the_file(hframe: Mac
     sensor = load_machine(tmp_path / "m.json").sensors[0]
     assert not sensor.incremental
     assert SENSOR_KINDS.get(sensor.kind) is Resolver
+
+
+def test_a_folder_with_a_machine_is_no_machine_but_names_it(hframe: Machine, tmp_path: Path) -> None:
+    save_machine(hframe, tmp_path / "machine.json")
+    with pytest.raises(InputError, match=r"did you mean '.*machine\.json'\?$"):
+        load_machine(tmp_path)
 
 
 def test_a_sensor_kind_in_the_file_imports_no_module(
