@@ -87,6 +87,10 @@ def import_logs(
         list[str] | None,
         Option(help="FROM:TO, s: keep this part of each log as a run; LOG=FROM:TO of one log; repeatable."),
     ] = None,
+    join: Annotated[
+        list[Path] | None,
+        Option(help="Another file with columns of the same motion, such as the commands; repeat for more."),
+    ] = None,
     format: Annotated[RunFormats, Option(help="Format of the recordings.")] = RunFormats.CSV_GZ,
 ) -> None:
     """Convert logs of controllers and data loggers to recordings, which the other commands read.
@@ -103,7 +107,9 @@ def import_logs(
 
     options = _mapping_options(mapping, map, unit, scale)
     intervals = tuple(parse_interval(text) for text in cut or ())
-    settings = ImportSettings(options, split_at_rests, min_rest, format.value, split_every, intervals)
+    settings = ImportSettings(
+        options, split_at_rests, min_rest, format.value, split_every, intervals, tuple(join or ())
+    )
     with progress_bar("import") as progress:
         files = run_import(logs, out, load_machine(machine), settings, log, progress)
     next_command = f"hframe check {quoted(str(out))} --machine {quoted(machine)}"

@@ -387,7 +387,8 @@ def _is_ending(name: str, ending: str) -> bool:
     same = family == Meaning(_QUANTITY_OF_UNIT[unit], "", "unit", "").family
     if unit in _NEEDS_NAME:
         letter = re.fullmatch(rf"{_NEEDS_NAME[unit]}[a-z]?\d*", name.lower())
-        return same or (ending == unit and letter is not None)
+        is_unit_itself = ending == unit or len(ending) > 2  # "t_s" and "t_sec", but not "t_S"
+        return same or (is_unit_itself and letter is not None)
     if unit in ("m", "in"):
         return same or (not named and _ELECTRICAL.fullmatch(name.lower()) is None)
     return True

@@ -80,7 +80,10 @@ def refuse_wrong_units(path: Path, outputs: Array, machine: Machine) -> None:
             span, range_length = np.ptp(_without_extremes(values)), coordinate.range[1] - coordinate.range[0]
             if span > _MAX_SPAN * range_length:
                 unit, suspect = ("m", "mm") if coordinate.kind == "linear" else ("rad", "deg")
-                limit = f"the range of {coordinate.name} is {range_length:.4g} {unit}"
+                limit = (
+                    f"the range of {coordinate.name} in the machine file is {range_length:.4g} {unit} (correct it, or "
+                    "leave it out, if the machine moves that far)"
+                )
                 problem = f"{path}, column {sensor.channel}: moves by {span:.4g} {unit}, but {limit}"
                 raise WrongUnitError(problem, (sensor.channel,), suspect)
     ratio = _pulley_travel_ratio(outputs, machine)

@@ -38,6 +38,7 @@ from hframe_gym.recordings.quantities import QUANTITIES, meaning_of, normalize_u
         ("Enc1 [in/s]", "Enc1", "in/s"),
         ("height_ft", "height", "ft"),
         ("TIME_S", "TIME", "s"),
+        ("t_sec", "t", "s"),
         ("rpm", "rpm", "rpm"),  # a name that is a unit
         ("ms", "ms", "ms"),
         ("Micros", "Micros", "us"),

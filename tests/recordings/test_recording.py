@@ -64,11 +64,13 @@ def test_columns_may_come_in_any_order_and_outputs_may_be_empty(write_run: Write
         ({(7, "x_m"): "125.0"}, "row 7, column x_m: 125 cannot be m; is the column in millimeters?"),
         (
             {(7, "x_m"): "15.0"},
-            "column x_m: moves by 15 m, but the range of x is 0.56 m; is the column in millimeters?",
+            "column x_m: moves by 15 m, but the range of x in the machine file is 0.56 m (correct it, or leave it out, "
+            "if the machine moves that far); is the column in millimeters?",
         ),
         (
             {(7, "x_m"): "2.0"},
-            "column x_m: moves by 2 m, but the range of x is 0.56 m; is the column in millimeters?",
+            "column x_m: moves by 2 m, but the range of x in the machine file is 0.56 m (correct it, or leave it out, "
+            "if the machine moves that far); is the column in millimeters?",
         ),
         (
             {(r, c): "" for r in range(1, 21) for c in ("phi1_rad", "phi2_rad", "x_m", "y_m")},

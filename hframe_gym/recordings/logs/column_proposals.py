@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ...machine import Machine
-from ..quantities import QUANTITIES
+from ..quantities import QUANTITIES, meaning_of
 from .log import LogColumn, plain_name
 from .measurement_units import TIME, Dimension, accepted_units, channel_dimension
 from .possible_maps import obstacle
@@ -89,7 +89,15 @@ def _is_proposable(machine: Machine, channel: str, column: LogColumn) -> bool:
     is_output = channel in machine.output_channels
     if is_output and meaning.role:
         return False
+    if not is_output and _is_signal_of_sensor(column):
+        return False
     if meaning.quantity == "duty cycle" and channel in machine.input_channels:
         return True
     counts_for_input = meaning.family in ("count", "row number") and not is_output
     return not counts_for_input and not obstacle(machine, channel, meaning, None, scaled=False)
+
+
+def _is_signal_of_sensor(column: LogColumn) -> bool:
+    """Return whether a column has the voltage of an analog sensor, such as "encoder_V": its name is of a motion."""
+    named = meaning_of(column.name, "").family
+    return column.meaning.quantity == "voltage" and named in ("position", "speed", "acceleration")

@@ -31,6 +31,7 @@ class LogColumn:
         rows: Number of rows; None if all columns of the file have the same number, or if `time` is known.
         time: Column of the sample times, if the format says which; it is one of the log's `times`.
         terms: Sign and column of each term, if this is no column of the file, but a sum of such columns.
+        file: Name of the file that has the column, if its log was joined with others; "" for a column of the log's own.
     """
 
     header: str
@@ -40,6 +41,7 @@ class LogColumn:
     rows: int | None = None
     time: LogColumn | None = None
     terms: tuple[tuple[float, LogColumn], ...] = ()
+    file: str = ""
 
     @property
     def in_file(self) -> tuple[LogColumn, ...]:

@@ -156,6 +156,7 @@ class LogConverter:
             remarks.append(f"time_s counts from midnight{date}; time zones are ignored")
         by_header.clear()  # so that the values of a long log are in memory only once
         if len(tables) > 1:
+            _refuse_separate_times(log, times, [time_s for time_s, _ in tables])
             time_s, columns = _without_false_gaps(*_merge(tables), [times for times, _ in tables])
             lengths = [
                 f"{len(t)} of {time.column.header}"
@@ -184,6 +185,7 @@ class LogConverter:
         own = [
             s for s in sources if s.time is not None and s.time.column is time.column and s.column is not None
         ]
+        _refuse_other_lengths(log, time, own, by_header)
         repeated = _repeated_rows(time_s, [by_header[s.column.header] for s in own if s.column is not None])
         if repeated.any():
             count = int(np.sum(repeated))
@@ -261,6 +263,20 @@ class LogConverter:
         return time_s
 
 
+def _refuse_other_lengths(
+    log: Log, time: ChannelSource, sources: Sequence[ChannelSource], by_header: Values
+) -> None:
+    """Refuse columns with another number of rows than their time, which are of another file that was joined."""
+    assert time.column is not None
+    rows = len(by_header[time.column.header])
+    for source in sources:
+        if source.column is not None and (count := len(by_header[source.column.header])) != rows:
+            raise InputError(
+                f"{log.place}: {source.column.header} has {count} rows, but {time.column.header} has {rows}; a file "
+                "without a column of time is joined row by row, so that both need equally many: add its times to it"
+            )
+
+
 def _repeated_rows(time_s: Array, columns: Sequence[Array]) -> Mask:
     """Return the rows that equal the row before in time and all values; none if a row repeats only the time."""
     repeated = np.zeros(len(time_s), np.bool_)
@@ -318,6 +334,21 @@ def _is_fraction(values: Array) -> bool:
     """Return whether values that are stated in percent are probably fractions of 1: none exceeds 1, some reach 0.1."""
     largest = float(np.max(np.abs(values), where=np.isfinite(values), initial=0.0))
     return 0.1 <= largest <= 1.0
+
+
+def _refuse_separate_times(log: Log, times: Sequence[ChannelSource], tables: Sequence[Array]) -> None:
+    """Refuse columns of time, s, that have no moment in common, such as seconds since the start and since 1970."""
+    spans = [
+        (float(time_s[0]), float(time_s[-1]), time.column.header)
+        for time_s, time in zip(tables, times, strict=True)
+        if len(time_s) and time.column is not None
+    ]
+    if max(begin for begin, _, _ in spans) > min(end for _, end, _ in spans):
+        listed = ", ".join(f"{header} is from {begin:.9g} to {end:.9g} s" for begin, end, header in spans)
+        raise InputError(
+            f"{log.place}: the times have no moment in common: {listed}; the clocks must have the same zero, so "
+            "correct the times of one"
+        )
 
 
 def _common_length(log: Log, by_header: Values) -> int:

@@ -24,7 +24,8 @@ from ..tables.table_file import SUFFIXES
 from ..tables.text_reader import Progress, cumulative
 from .log import Log, headers_text
 from .log_conversion import LogConverter
-from .log_files import find_logs, log_size, open_logs
+from .log_files import find_logs, log_size
+from .log_join import open_joined
 from .log_mapping import ChannelSource, MappingOptions, map_columns
 from .log_rests import split_at_rests
 from .measurement_units import channel_dimension
@@ -77,6 +78,7 @@ class ImportSettings:
         every: Approximate length of the runs into which each log is cut, s, also where the machine moves. None: logs
             are not cut into equal pieces.
         intervals: Parts of the logs that become runs; a log for which there is none is imported whole.
+        join: Files whose columns belong to each log, such as that of the commands; see `--join`.
     """
 
     mapping: MappingOptions = field(default_factory=MappingOptions)
@@ -85,6 +87,7 @@ class ImportSettings:
     run_format: RunFormat = "csv.gz"
     every: float | None = None
     intervals: tuple[Interval, ...] = ()
+    join: tuple[Path, ...] = ()
 
 
 def import_logs(
@@ -122,6 +125,8 @@ def import_logs(
     if settings.intervals and (settings.split or settings.every is not None):
         raise InputError("--cut and --split-at-rests or --split-every exclude each other: choose one")
     paths, other_files = find_logs(logs)
+    joined = {path.resolve() for path in settings.join}
+    paths = [path for path in paths if path.resolve() not in joined]
     folder = output_folder(out)
     existing = (
         {run_name(p) for p in folder.iterdir() if p.name.endswith(SUFFIXES)} if folder.exists() else set()
@@ -226,7 +231,7 @@ class _Importer:
 
     def runs(self, path: Path) -> Iterator[Recording]:
         """Convert a file and yield its runs, one log of the file after the other."""
-        logs = open_logs(path)
+        logs = open_joined(path, self._settings.join)
         for log in logs:
             yield from self._runs_of(log, log_size(path) / len(logs))
 

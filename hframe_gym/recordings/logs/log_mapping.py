@@ -192,18 +192,24 @@ class _LogMapping:
         if reference is None and self.log.times:
             return []  # each column has its own
         if reference is None:
-            named = [
-                column
-                for column in self.log.columns
-                if plain_name(column.name.rpartition(".")[2]) in _TIME_NAMES
-                and (column.meaning.evidence != "unit" or column.meaning.quantity == "time")
-            ]
-            return [column for column in self.log.columns if column.header == TIME] or named
+            files = dict.fromkeys(column.file for column in self.log.columns)
+            return [time for file in files for time in self._times_by_name(file)]
         if parse_rate(reference) is not None:
             return [LogColumn(f"row number at {reference.strip()}", "row number", "", ROW_NUMBER)]
         is_list = "," in reference and not self.log.columns_called(reference)
         references = [part.strip() for part in reference.split(",")] if is_list else [reference]
         return [self._column_of_reference(TIME, part) for part in references]
+
+    def _times_by_name(self, file: str) -> list[LogColumn]:
+        """Return the columns named like a time, of the log itself or of a file that was joined."""
+        columns = [column for column in self.log.columns if column.file == file]
+        named = [
+            column
+            for column in columns
+            if plain_name(column.name.rpartition(".")[2]) in _TIME_NAMES
+            and (column.meaning.evidence != "unit" or column.meaning.quantity == "time")
+        ]
+        return [column for column in columns if column.header == TIME] or named
 
     def _assigned_columns(self, times: Sequence[LogColumn]) -> dict[str, LogColumn | None]:
         """Return the column of each channel, from the user or by its name; None for an output that was not measured.
@@ -305,8 +311,10 @@ class _LogMapping:
         if column.time is not None:
             same = [time for time in times if time.time == column.time]  # another time that the user named
             return same[0] if same else column.time
-        if times[0].kind == ROW_NUMBER:
-            return times[0]
+        own = [time for time in times if time.file == column.file]
+        if times[0].kind == ROW_NUMBER or not own:
+            return times[0]  # of another file that was joined: row by row
+        times = own
         if column.rows is not None:
             return self._time_of_equal_length(column, times)
         position = self.log.columns.index
@@ -420,7 +428,8 @@ class _LogMapping:
             inputs = [channel for channel in missing if channel in self.machine.input_channels]
             problem = f"No column is unassigned, but {', '.join(inputs)} {'has' if len(inputs) == 1 else 'have'} none"
             return (
-                f"{problem}. Voltages must be recorded; add a column of zeros for a drive that was not used"
+                f"{problem}. The commands must be recorded: add those of another file by --join FILE, or a column "
+                "of zeros for a drive that was not used"
             )
         proposals = proposed_headers(self.machine, missing, unused)
         counters = [column for column in unused if _counts_rows(column)]
@@ -444,6 +453,8 @@ class _LogMapping:
         elif TIME in missing:
             advice += f"; if the log has no time column, state the rate, e.g. {TIME}={_EXAMPLE_RATE}"
         without = [channel for channel in missing if channel != TIME and proposals[channel] == NO_PROPOSAL]
+        if without:
+            advice += "; --join FILE adds the columns of another file with the same motion"
         return advice + self._explained_obstacle(without, unused) + self._advice_about_tool(missing)
 
     def _advice_about_tool(self, channels: Sequence[str]) -> str:

@@ -1,0 +1,26 @@
+"""Columns that the message about a missing column proposes."""
+
+from pathlib import Path
+
+import pytest
+
+from hframe_gym.machine import BUILTIN_MACHINES
+from hframe_gym.recordings.logs import open_logs, propose_columns
+
+
+@pytest.mark.parametrize(
+    ("header", "proposed"),
+    [
+        ("encoder_V", None),  # the signal of a sensor
+        ("tacho_V", None),
+        ("amplifier_V", "amplifier_V"),
+        ("motor_voltage_V", "motor_voltage_V"),
+    ],
+)
+def test_the_voltage_of_a_sensor_is_not_proposed_as_a_command(
+    header: str, proposed: str | None, tmp_path: Path
+) -> None:
+    rows = "\n".join(f"{k * 1e-3:g},{k % 7},{k}" for k in range(40))
+    (tmp_path / "log.csv").write_text(f"time,{header},level\n{rows}\n")
+    (log,) = open_logs(tmp_path / "log.csv")
+    assert propose_columns(log, BUILTIN_MACHINES["motor"]()).proposed.get("v_V") == proposed
