@@ -42,6 +42,10 @@ _LONG_STEP = 0.5  # s; times without a unit at longer steps are probably in anot
 _TIME_UNITS = ((50.0, "ms", 1e3), (50e3, "us", 1e6), (np.inf, "ns", 1e9))
 
 
+class EmptyLogError(InputError):
+    """A log has columns, but no rows, as of a logger that was stopped at once."""
+
+
 class LogConverter:
     """Converts the logs of one session to recordings with a common clock.
 
@@ -75,11 +79,14 @@ class LogConverter:
             remarks: Sentences for the user about rows that were left out, held or merged.
 
         Raises:
+            EmptyLogError: If the log has no rows.
             InputError: If a cell is not a number, times do not increase, or a channel is empty or in a wrong unit.
         """
         needed = list({source.column.header: source.column for source in sources if source.column}.values())
         in_file = [column for column in needed if column.kind != ROW_NUMBER]
         values, remarks = log.read(in_file, progress)
+        if not any(map(len, values)):
+            raise EmptyLogError(f"{log.place}: no rows below the header")
         by_header = {column.header: array for column, array in zip(in_file, values, strict=True)}
         del values  # so that `_columns` can release the arrays
         for counter in (column for column in needed if column.kind == ROW_NUMBER):

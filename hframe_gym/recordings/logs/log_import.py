@@ -23,7 +23,7 @@ from ..recording import Recording, run_name, write_recording
 from ..tables.table_file import SUFFIXES
 from ..tables.text_reader import Progress, cumulative
 from .log import Log, headers_text
-from .log_conversion import LogConverter
+from .log_conversion import EmptyLogError, LogConverter
 from .log_files import find_logs, log_size
 from .log_join import open_joined
 from .log_mapping import ChannelSource, MappingOptions, map_columns
@@ -136,7 +136,7 @@ def import_logs(
     # Each byte counts twice: once for reading, once for writing, which take about as long.
     total = 2 * sum(map(log_size, paths))
     several = len(paths) + len(existing) > 1
-    importer = _Importer(machine, settings, log, cumulative(progress, total), several)
+    importer = _Importer(machine, settings, log, cumulative(progress, total), several, len(paths) > 1)
     written: list[Path] = []
     with output_batch(folder):
         for path in paths:
@@ -148,6 +148,8 @@ def import_logs(
                 file = folder / f"{run.name}.{settings.run_format}"
                 write_recording(file, run, machine, importer.count_rows)
                 written.append(file)
+        if not written:
+            raise InputError(f"{logs}: none of its {len(paths)} logs has rows below the header")
         importer.refuse_unused_intervals()
     if others := importer.of_these_logs(existing):
         before = f"{folder} has runs of these logs from before ({name_runs(others)})"
@@ -221,9 +223,11 @@ class _Importer:
         log: Callable[[str], None],
         progress: Progress,
         several: bool,
+        one_of_many: bool,
     ) -> None:
         self._machine, self._settings, self._log, self._progress = machine, settings, log, progress
         self._several = several  # whether the folder of the recordings will have several runs
+        self._one_of_many = one_of_many  # whether other logs are left if one is empty
         self._converter = LogConverter(machine)
         self._last_mapping: list[str] = []
         self._names: list[str] = []  # of the logs, before they are cut
@@ -239,7 +243,13 @@ class _Importer:
         """Convert a log, which takes a size in bytes of its file, and return its runs."""
         sources = map_columns(log, self._machine, self._settings.mapping)
         self._log_mapping(log, sources)
-        recordings, remarks = self._converter.convert(log, sources, self._progress)
+        try:
+            recordings, remarks = self._converter.convert(log, sources, self._progress)
+        except EmptyLogError:
+            if not self._one_of_many:
+                raise
+            self._log("  left out: no rows below the header")
+            return []
         self._bytes_per_row = size / sum(len(recording.time_s) for recording in recordings)
         for remark in remarks:
             self._log(f"  {remark}")

@@ -75,6 +75,8 @@ def _can_be_measurement(
         if unit is None:
             return column.evidence == "unit"
         return unit in _speed_units() or unit not in accepted_units(machine, channel)
+    if column.family == "current" and column.evidence == "name":  # or a present value, "current_speed"
+        return scaled or unit in accepted_units(machine, channel)
     return scaled and (column.unit in _ANALOG_UNITS or (column.family == "voltage" and not column.unit))
 
 
@@ -143,7 +145,10 @@ def _advice(machine: Machine, channel: str, column: Meaning) -> str:
         return advice
     dimension = channel_dimension(machine, channel)
     if dimension not in _MOTIONS:
-        return f"map a measured {dimension}, or state the factor to {SI_UNITS[dimension]} by --scale {channel}=FACTOR"
+        advice = f"map a measured {dimension}, or state the factor to {SI_UNITS[dimension]} by --scale {channel}=FACTOR"
+        if family == "current" and column.evidence == "name":
+            return f"{advice}, or its unit by --unit {channel}=UNIT if it is a present {dimension} and no current"
+        return advice
     if family == "position":
         units = ", ".join(accepted_units(machine, channel))
         return f"state its unit by --unit {channel}=UNIT ({units}), or a factor by --scale {channel}=FACTOR"

@@ -1067,3 +1067,34 @@ def test_a_speed_is_proposed_for_the_speed_and_not_for_the_position_beside_it(tm
     path.write_text("time_s,Input,Velo\n" + "".join(f"{k / 100},1,{k}\n" for k in range(30)))
     with pytest.raises(InputError, match=r"--map x_m=COLUMN --map x_m_s=Velo "):
         import_logs(path, tmp_path / "runs", both)
+
+
+def test_a_log_without_rows_is_left_out_of_a_folder(table: Table, hframe: Machine, tmp_path: Path) -> None:
+    folder, lines = tmp_path / "logs", list[str]()
+    folder.mkdir()
+    (folder / "a.csv").write_text(text_of(table))
+    (folder / "b.csv").write_text(",".join(table) + "\n")
+    files = import_logs(folder, tmp_path / "runs", hframe, log=lines.append)
+    assert [file.name for file in files] == ["a.csv.gz"]
+    assert "  left out: no rows below the header" in lines
+    with pytest.raises(InputError, match=r"b\.csv: no rows below the header"):
+        import_logs(folder / "b.csv", tmp_path / "other", hframe, log=lines.append)
+    (folder / "a.csv").write_text(",".join(table) + "\n")
+    with pytest.raises(InputError, match=r"none of its 2 logs has rows"):
+        import_logs(folder, tmp_path / "other", hframe, log=lines.append)
+
+
+@pytest.mark.parametrize("option", ["units", "scales"])
+def test_current_may_also_mean_the_present_value(option: str, tmp_path: Path) -> None:
+    speed = Sensor("shaft_rad_s", {"shaft": 1.0}, kind="speed")
+    motor = BUILTIN_MACHINES["motor"]().replace(sensors=(speed,))
+    rows = "\n".join(f"{k * 1e-3:g},{k % 7},{k}" for k in range(40))
+    (tmp_path / "log.csv").write_text(f"time,volts,CURRENT_M1\n{rows}\n")
+    columns: dict[str, object] = {"v_V": "volts", "shaft_rad_s": "CURRENT_M1"}
+    with pytest.raises(
+        InputError, match=r"or its unit by --unit shaft_rad_s=UNIT if it is a present angular speed"
+    ):
+        convert(tmp_path / "log.csv", motor, columns=columns)
+    stated: dict[str, object] = {"shaft_rad_s": "rad/s" if option == "units" else 1.0}
+    run = convert(tmp_path / "log.csv", motor, columns=columns, **{option: stated})
+    np.testing.assert_array_equal(run.outputs[:, 0], np.arange(40.0))
