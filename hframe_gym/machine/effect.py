@@ -10,15 +10,18 @@ kernel (generated code) and CasADi. They may call helper functions and use const
 from __future__ import annotations
 
 import dataclasses
+import difflib
 import inspect
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from numbers import Real
 from typing import Any, Literal, Protocol
 
-from ..errors import InputError
+from ..errors import InputError, suggestion
+from .declaration import FIXED_UNITS, UNITS
 
 SiteKind = Literal["coordinate", "motor", "drive", "drives", "belts", "sensor", "machine"]
 Hook = Callable[..., Any]
@@ -89,12 +92,16 @@ class EffectParameter:
 
     Attributes:
         name: Name of the parameter: an argument of the hooks (formulas) of the effect.
-        unit: Unit, or a key of `machine.UNITS` ("force", "position", ...) if it follows the kind of the coordinate.
+        unit: Unit, such as "N/m^2", or the name of one quantity whose unit follows from the site, such as "force", N or
+            Nm: a key of `machine.UNITS`, or "voltage".
         lower: Lower bound, SI.
         upper: Upper bound, SI.
-        scale: Typical size, as a multiple of the typical value of its unit at the site (N: the Coulomb friction force).
-        grid: Starting values of a search, as multiples of the same typical value.
-        largest: Largest value that a search may give the parameter, as such a multiple. Beyond it, the effect would act
+        scale: Typical size. With the name of a quantity, as a multiple of its typical value at the site (force: a tenth
+            of that of the drives at rated voltage; speed: the largest; position: the travel; mass: the declared one).
+            So too with "A", "1/A^2" and "1/W" (current of the drive) and "m", "1/m^2" and "N" (extension and force of
+            the belts). With any other unit, in this unit.
+        grid: Starting values of a search, given like `scale`.
+        largest: Largest value that a search may give the parameter, given like `scale`. Beyond it, the effect would act
             like another one: hysteresis over a longer distance than the motion is a spring.
         role: "amplitude": the effect is absent where it is 0. "phase": phase of a sine that the amplitude multiplies.
             "period" (m or rad), "rate" (rad per m or rad): of such a sine over the position; a search finds starting
@@ -213,7 +220,8 @@ class Effect:
             measurement, those with smaller numbers act first, in whichever order they are listed in the machine.
 
     Raises:
-        InputError: If an argument of a hook is neither a parameter nor a quantity of the hook, or is both.
+        InputError: If an argument of a hook is neither a parameter nor a quantity of the hook, or is both, or a unit
+            misspells the name of a quantity.
     """
 
     name: str
@@ -265,6 +273,8 @@ class Effect:
         """Complete the family, and check the names of the hooks' arguments."""
         if not self.family:
             object.__setattr__(self, "family", self.name)
+        for p in self.parameters:
+            self._check_unit(p)
         parameters = [p.name for p in self.parameters]
         for hook, quantities in HOOKS.items():
             function = getattr(self, hook)
@@ -279,6 +289,17 @@ class Effect:
                         f"effect {self.name}: the argument {name} of the formula {hook} is neither a parameter "
                         f"({', '.join(parameters)}) nor a quantity of {hook} ({', '.join(quantities) or 'none'})"
                     )
+
+    def _check_unit(self, parameter: EffectParameter) -> None:
+        """Refuse a misspelled name of a quantity, and one inside a unit, which would count as a unit."""
+        names, unit = [*UNITS["linear"], *FIXED_UNITS], parameter.unit
+        words = re.findall(r"[A-Za-z]{4,}", unit)  # symbols of units are shorter
+        if unit not in names and any(difflib.get_close_matches(word, names, cutoff=0.8) for word in words):
+            meant = suggestion(unit, names) if words == [unit] else ""
+            raise InputError(
+                f"effect {self.name}: the unit of {parameter.name} is {unit!r}; give a unit such as N/m^2, or one of "
+                f"{', '.join(names)} alone{meant}"
+            )
 
     def __hash__(self) -> int:
         """Return a hash of the name; those of all formulas would take longer than to find the code of a machine."""

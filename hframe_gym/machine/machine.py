@@ -185,9 +185,9 @@ class Machine:
 
     @cached_property
     def sensor_matrix(self) -> Array:
-        """Readings per unit of each coordinate, without products of coordinates, SI, shape (sensors, coordinates).
+        """Readings of sensors of positions per unit of each coordinate, SI, shape (sensors, coordinates).
 
-        The rows of sensors that do not measure positions are zero.
+        Rows of other sensors are zero. Coefficients of products such as "y*yaw" (`Sensor.row`) have no column.
         """
         nothing = np.zeros(len(self.coordinates))
         return np.array([self.coefficients(s.row) if s.of_position else nothing for s in self.sensors])

@@ -46,7 +46,8 @@ class SensorKind:
         coefficients (`Sensor.row`) times those of the coordinates (m, rad; per second; per second squared); "current"
         is the sum of coefficients times the currents of the drives, A, and "tension" that of coefficients times the
         tensions of the belts beyond their pretension, N. A formula uses the operators + - * / and abs. A constant
-        factor belongs in the coefficients, by which initial states and observers divide.
+        factor belongs in the coefficients, by which initial states and observers divide: they take the slope of the
+        formula for 1. What bends it is better an effect of the sensor, whose parameters can be identified.
 
         Args:
             position: The quantity: float, array of any shape or symbolic expression.
@@ -63,8 +64,8 @@ class SensorKind:
 
     @classmethod
     def has_direction(cls) -> bool:
-        """Return whether the ideal measurement changes its sign with the quantity; an absolute value does not."""
-        return bool(cls.signal(-1.0) == -cls.signal(1.0))
+        """Return whether a motion and its reverse have different ideal measurements; absolute values are the same."""
+        return bool(cls.signal(-1.0) != cls.signal(1.0))
 
     @staticmethod
     def measure(reading: Array, noise: ArrayLike, resolution: ArrayLike, normal: ArrayLike) -> Array:

@@ -6,6 +6,7 @@ import dataclasses
 import pickle
 import re
 from collections.abc import Callable
+from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
@@ -29,23 +30,7 @@ from tests.effects.one_of_each import CASES, Case, history
 
 EVERY_EFFECT = pytest.mark.parametrize("effect", EFFECTS.values(), ids=EFFECTS)
 WITH_AMPLITUDE = {name: case for name, case in CASES.items() if EFFECTS[name].amplitudes}
-PLAIN_UNITS = {
-    "1",
-    "s",
-    "1/s",
-    "V",
-    "A",
-    "m",
-    "rad",
-    "N",
-    "1/m^2",
-    "1/A^2",
-    "1/W",
-    "kg m^2",
-    "Nm/rad",
-    "Nms",
-    "Hz",
-}
+UNIT_SYMBOLS = {"1", "s", "V", "A", "W", "m", "rad", "N", "Nm", "Nms", "kg", "Hz"}
 
 
 @EVERY_EFFECT
@@ -61,7 +46,8 @@ def test_definition_is_complete(effect: Effect, hframe: Machine) -> None:
     assert roles.count("phase") <= roles.count("amplitude")
     for p in effect.parameters:
         assert p.lower < p.upper
-        assert p.unit in {*UNITS["linear"], *PLAIN_UNITS, "voltage"}
+        symbols = set(re.sub(r"\^\d", "", p.unit).replace("/", " ").split())
+        assert p.unit in {*UNITS["linear"], "voltage"} or symbols <= UNIT_SYMBOLS
         assert p.scale > 0.0
         if p.role == "shape" and p.lower > 0.0:  # a search starts at these values, in typical units
             assert p.grid
@@ -95,6 +81,29 @@ def test_an_argument_means_one_thing(parameter: str, force: Callable[..., Any], 
             source="",
             force=force,
             parameters=(EffectParameter(parameter, "1", 0.0, 1.0, scale=1.0),),
+        )
+
+
+@pytest.mark.parametrize(
+    ("unit", "message"),
+    [
+        ("forces", r"the unit of k is 'forces'; give .* alone; did you mean 'force'\?"),
+        ("force/position^2", r"the unit of k is 'force/position\^2'; .* alone$"),
+        ("N/m^2", ""),
+        ("ohm/degC", ""),
+        ("rad/position", ""),
+    ],
+)
+def test_a_unit_is_a_unit_or_the_name_of_one_quantity(unit: str, message: str) -> None:
+    """A misspelled name would be shown as a unit, and its starting values would not be relative to the machine."""
+    with pytest.raises(InputError, match=message) if message else nullcontext():
+        Effect(
+            name="spring",
+            site="coordinate",
+            formula="",
+            source="",
+            force=lambda q, k: -k * q,
+            parameters=(EffectParameter("k", unit, 0.0, 1.0, scale=1.0),),
         )
 
 

@@ -94,6 +94,9 @@ def test_sticks_exactly_and_carries_a_load_below_the_friction():
     assert stage.position[0] == START[0]
 
 
-def test_rejects_what_it_does_not_model():
-    with pytest.raises(ValueError, match="idlers"):
-        euler_parameters(Rig(idlers=True))
+@pytest.mark.parametrize(
+    ("name", "value"), [("idlers", True), ("coasting_V", (0.1, 0.0)), ("friction_age", (0.5, 0.0, 0.0, 0.0))]
+)
+def test_rejects_what_it_does_not_model(name, value):
+    with pytest.raises(ValueError, match=f"no {name}$"):
+        euler_parameters(Rig(**{name: value}))

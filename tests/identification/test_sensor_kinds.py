@@ -196,6 +196,23 @@ def test_a_kind_may_state_its_unit(tmp_path) -> None:
         SENSOR_KINDS.unregister("generator")
 
 
+def test_every_kind_is_tested_here(stage_machine: Machine) -> None:
+    tested = {sensor.kind for sensors in (*SENSORS.values(), stage_machine.sensors) for sensor in sensors}
+    assert set(SENSOR_KINDS) == tested, "add a sensor of the new kind to SENSORS or ALL"
+
+
+@pytest.mark.parametrize(
+    ("signal", "has_direction"),
+    [
+        (lambda position: position, True),
+        (lambda position: abs(position), False),
+        (lambda position: position + 0.05 * position * position, True),  # a string that sags
+    ],
+)
+def test_a_sensor_shows_no_direction_only_if_its_formula_hides_it(signal, has_direction: bool) -> None:
+    assert type("Kind", (SensorKind,), {"signal": staticmethod(signal)}).has_direction() == has_direction
+
+
 def test_the_formula_of_a_registered_kind_says_whether_it_measures_velocities() -> None:
     @SENSOR_KINDS.register("geared-tacho")
     class GearedTacho(SensorKind):

@@ -89,6 +89,17 @@ def derivative(
         dz[frame + 1] -= stage.frame_ratio * stage.frame_ground * friction / x.mass
 
 
+# Fields of `dry_level` that make dry friction; the others multiply it, or are 0 where these are.
+DRY_FRICTION = (
+    "coulomb",
+    "stribeck_force",
+    "friction_wave",
+    "friction_slope",
+    "friction_cross_position",
+    "friction_cross_speed",
+)
+
+
 @njit(cache=True)
 def dry_level(
     t: float, z: Array, i: int, n: int, coordinates: NDArray[Any], stage: Any

@@ -7,20 +7,12 @@ from collections import deque
 import numpy as np
 from scipy.optimize import brentq
 
-from tests.reference_simulator.equations import derivative, state_size
+from tests.reference_simulator.equations import DRY_FRICTION, derivative, state_size
 from tests.reference_simulator.integrator import advance
 from tests.reference_simulator.parameter_arrays import parameter_arrays
 from tests.reference_simulator.rig import Array, Rig
 
 _TIME_TOLERANCE_S = 1e-12  # two times closer than this are the same
-_DRY = (
-    "coulomb",
-    "stribeck_force",
-    "friction_wave",
-    "friction_slope",
-    "friction_cross_position",
-    "friction_cross_speed",
-)
 
 
 class Stage:
@@ -56,7 +48,7 @@ class Stage:
         self._z[: self._n] = self._unstretched(float(start_xy[0]), float(start_xy[1]))
         # A coordinate without friction never sticks, so it has no events.
         rigid = coordinates["bristle_stiffness"] == 0.0
-        self._dry = np.any([coordinates[name] != 0.0 for name in _DRY], axis=0) & rigid
+        self._dry = np.any([coordinates[name] != 0.0 for name in DRY_FRICTION], axis=0) & rigid
         self.mode = np.zeros(self._n)
         self._volts = np.zeros(2)  # until the first command arrives
         self._pending: tuple[deque[tuple[float, float]], ...] = (deque(), deque())

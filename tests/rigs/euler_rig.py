@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -10,12 +11,10 @@ from tests.euler_simulator import parameter_table
 from tests.euler_simulator.dynamics import FIELDS
 from tests.reference_simulator import Array, Rig
 
-# Fields of a rig that the Euler simulator lacks; they must have their default value.
-_MISSING = (
-    "friction_cross_position", "friction_cross_speed", "friction_per_run", "heating_loss", "current_ripple",
-    "backlash_rad", "idlers", "payload", "length_follows", "spring_square", "friction_stale", "friction_age",
-    "torque_saturation_A", "heating_ohm", "dead_time_V", "supply_ohm", "belt_relaxation", "belt_creep", "mesh_force_N",
-    "brake_drag",
+# Fields of a rig that the Euler simulator has in another form. One that is neither here nor in `FIELDS` it lacks.
+_CONVERTED = (
+    "belt_damping_factor", "belt_energy_force", "belt_hardening", "belt_play_m", "belt_pretension_N", "emf_constant",
+    "frame", "gear_ratio", "input_delay_s", "pulley_radius_m", "torque_constant", "yaw",
 )  # fmt: skip
 _YAW_DIVISORS = (
     "stribeck_velocity",
@@ -38,7 +37,7 @@ def euler_parameters(rig: Rig) -> Array:
     Raises:
         ValueError: If the rig has an effect that the simulator lacks.
     """
-    for name in _MISSING:
+    for name in {field.name for field in dataclasses.fields(rig)}.difference(FIELDS, _CONVERTED):
         if getattr(rig, name) != getattr(Rig(), name):
             raise ValueError(f"the Euler simulator has no {name}")
     if rig.frame and rig.frame.ground_friction:

@@ -183,7 +183,11 @@ class MotionModel:
         return travel[:, self.tool]
 
     def elastic_travel(self, travel: Array) -> Array:
-        """Compute the part of `travel`, m, or of states, shape (B, n or 2 n), that is beyond unstretched belts."""
+        """Compute how far coordinates are from where they would be if no belt were stretched, m, shape (B, n).
+
+        Args:
+            travel: Travels of all coordinates, m, shape (B, n), or states, shape (B, 2 n).
+        """
         return travel[:, : len(self.mass)] - self.tool_position(travel) @ self.rigid.T
 
     def discretize(self, goal: Array, period: float) -> tuple[Array, Array, Array]:

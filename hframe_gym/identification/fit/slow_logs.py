@@ -245,9 +245,11 @@ def _differences(model: ResidualModel, theta: Array, directions: Array) -> list[
 def fit_slow_log(fitted: Fit, data: Dataset) -> Fit:
     """Fit a machine again by instruments, if the voltages of its runs are interpolated between the rows.
 
-    The cost is that part of the white residual that the instruments can represent, plus the prior (two-stage least
-    squares). An observer of the search's bandwidth corrects the predictions; the autoregression makes up for it. The
-    parameters are those of `fitted`, of this fit, or between both, whichever simulate left-out runs best.
+    Instruments are derivatives of the predictions that do not contain the controller's answer to the rounding errors of
+    the rows, to which least squares adapt. The cost is the part of the residual that instruments can represent, plus
+    the prior (two-stage least squares); the residual is that of predictions with the observer of the search, made white
+    by an autoregression. The parameters are those of `fitted`, of this fit, or between both, whichever simulate
+    left-out runs best.
 
     Args:
         fitted: Final fit of a machine.

@@ -42,10 +42,13 @@ def chance_gain(variance: LongRunVariance, criteria: SelectionCriteria) -> float
 
 
 def chance_deviations(criteria: SelectionCriteria) -> float:
-    """Return how many standard deviations (dimensionless) the estimate of a parameter that is 0 hardly ever reaches.
+    """Return how many standard deviations from 0 an estimate must be, so that chance alone hardly ever brings it there.
 
     Args:
-        criteria: Decision threshold `chance`.
+        criteria: Decision threshold `chance`, the probability that it does.
+
+    Returns:
+        Number of standard deviations of a normal distribution, to either side, dimensionless: 4.9 for 1e-6.
     """
     return float(-ndtri(0.5 * criteria.chance))
 

@@ -108,7 +108,7 @@ def nearly_explains(error: FitError, criteria: SelectionCriteria) -> bool:
 
 
 def only_noise_is_left(error: FitError, criteria: SelectionCriteria) -> bool:
-    """Return whether nothing but noise is left: no effect can reduce the error by `min_gain`."""
+    """Return whether nothing but noise is left: what exceeds it is less than an effect must explain (`min_gain`)."""
     return error.chi2 <= 1.0 + criteria.min_gain
 
 

@@ -127,11 +127,11 @@ class NormalEquations:
         )
 
     def of_some(self, parameters: NDArray[np.bool_], responses: slice) -> NormalEquations:
-        """Return the products of some parameters and perturbations only.
+        """Return the normal equations of some of the parameters and perturbations; the others are held.
 
         Args:
-            parameters: True for the parameters that are kept, shape (k,).
-            responses: Indices of the perturbations that are kept.
+            parameters: True for those parameters, shape (k,).
+            responses: Indices of those perturbations.
         """
         return dataclasses.replace(
             self,
