@@ -119,7 +119,7 @@ class PlanBank:
     ) -> None:
         self._model, self._estimator, self.size = MotionModel(machine), estimator, len(durations)
         # not its machine, which has no dead time
-        self._ratios = ParameterRatios(machine, estimator.parameter_names)
+        self._ratios = ParameterRatios(self._model.machine, estimator.parameter_names)
         self._transfers = SimulatedTransfers(self._model, period, durations)
         self._of_observation = state_of_observation(self._model)
 
@@ -140,6 +140,7 @@ class PlanBank:
             self._model.axis_travel(goal),
             self._ratios.parameters(self._estimator.estimates),
             last_action * rated,
+            self._estimator.memory,
         )
         return FeedbackLaws(planned.volts / rated, planned.gains / rated[:, None] @ self._of_observation)
 

@@ -6,6 +6,8 @@ Moves        A plan of voltages within their limits brings the tool to its goal 
              of the approach and what remains at the goal (`PlanSimulation`).
 Paths        A plan over the previewed goals minimizes the distances to them. Every period it is shifted by one period,
              simulated from the measured state, and corrected by the linear model (real-time iteration, `_PathPlanner`).
+Memory       All simulations go on from what the machine remembers of the episode: states of effects, such as a
+             hysteresis, and the swing of slow loads (`SimulatedMotion`).
 Disturbance  Where the simulation cannot explain the measured states, because they are inexact or the machine has
              effects that are not declared, the estimator also varies a voltage at each drive.
 
@@ -32,6 +34,7 @@ from .estimation.parameter_estimators import ParameterWindow
 from .models.input_compensation import DeadTime, InputInversion
 from .models.linear_motion import LinearMotion
 from .models.motion_model import MotionModel, OperatingPointGrid
+from .models.simulated_motion import SimulatedMotion
 from .planning.finite_horizon_control import HORIZON_S, longest_transfer_s
 from .planning.predictive_plans import ArrivalPlanner, PlanSimulation
 
@@ -68,8 +71,9 @@ class PredictiveController(FullStateController):
 
     def __init__(self, machine: Machine, period: float = 0.01) -> None:
         super().__init__(machine, period)
-        self._dead_time, self._inversion = DeadTime(self.model.machine, period), InputInversion(machine)
+        self._dead_time, self._inversion = DeadTime(machine, period), InputInversion(machine)
         self._undelayed_model = MotionModel(self._dead_time.machine_without_delay)
+        self._motion = SimulatedMotion(self._undelayed_model)
         self.estimator = ParameterWindow(self._undelayed_model, period, self._dead_time.remainder_s)
         self._linear, self._grid = LinearMotion(self._undelayed_model, period), OperatingPointGrid(machine)
         self._longest = min(
@@ -107,10 +111,10 @@ class PredictiveController(FullStateController):
         arrived_actions = self._dead_time.arrived_history()[1][:, :-1] / self.model.rated
         self.estimator.update(self._state, state, arrived_actions, self._starts.mask)
         parameters = self.estimator.parameters(self.estimator.estimates)
-        predicted = self._dead_time.predict(state, parameters, self.estimator.offset)
+        predicted, memory = self._after_dead_time(state, parameters)
         self._follows_path = goals.shape[1] > 1
         plan = self._track if self._follows_path else self._reach
-        volts = np.clip(plan(predicted, goals, parameters), -self.model.rated, self.model.rated)
+        volts = np.clip(plan(predicted, memory, goals, parameters), -self.model.rated, self.model.rated)
         self._dead_time.send(volts)
         self._state, self._elapsed = state, self._elapsed + 1
         self._starts.clear()
@@ -144,7 +148,16 @@ class PredictiveController(FullStateController):
             return self._path_planner.gain()
         return self._arrival_planner.gain(self._arrival)
 
-    def _reach(self, state: Array, goals: Array, parameters: Array) -> Array:
+    def _after_dead_time(self, state: Array, parameters: Array) -> tuple[Array, Array]:
+        """Return the states (B, 2 n) and memories (B, M) at the end of the drives' dead time."""
+        if self._dead_time.delay_s == 0.0:
+            return state, self.estimator.memory
+        times, volts = self._dead_time.pending_history()
+        volts = volts + self.estimator.offset[:, None]
+        states, memories = self._motion.simulate(state, self.estimator.memory, times, volts, parameters)
+        return states[:, -1], memories[:, -1]
+
+    def _reach(self, state: Array, memory: Array, goals: Array, parameters: Array) -> Array:
         """Return commanded voltages (B, drives) for states (B, 2 n), goals (B, 1, axes) and parameters (B, P)."""
         goal = goals[:, 0]
         error = state - self.model.goal_state(goal)
@@ -161,7 +174,7 @@ class PredictiveController(FullStateController):
         chosen = self._settling | (self._arrival <= REFINED_PERIODS)
         if chosen.any():
             rows = np.flatnonzero(chosen)
-            volts[rows] = self._refine(rows, state, parameters, goal, commands)
+            volts[rows] = self._refine(rows, state, memory, parameters, goal, commands)
         return volts
 
     def _plan_arrival(self) -> Array:
@@ -193,7 +206,13 @@ class PredictiveController(FullStateController):
         return high
 
     def _refine(
-        self, rows: NDArray[np.intp], state: Array, parameters: Array, goal: Array, commands: Array
+        self,
+        rows: NDArray[np.intp],
+        state: Array,
+        memory: Array,
+        parameters: Array,
+        goal: Array,
+        commands: Array,
     ) -> Array:
         """Return the first commanded voltages (rows, drives) of refined plans, and store the plans."""
         previous, periods = self._refined[rows], self._simulation.periods
@@ -204,12 +223,12 @@ class PredictiveController(FullStateController):
         plans = [np.where(np.isnan(shifted), planned, shifted) + offset, planned + offset]
         count = int(self._elapsed.max(initial=0))
         best = self._simulation.improve(
-            state[rows], parameters[rows], goal[rows], plans, self._arrival[rows], count
+            state[rows], memory[rows], parameters[rows], goal[rows], plans, self._arrival[rows], count
         )
         self._refined[rows] = best - offset
         return best[:, 0] - offset[:, 0]
 
-    def _track(self, state: Array, goals: Array, parameters: Array) -> Array:
+    def _track(self, state: Array, memory: Array, goals: Array, parameters: Array) -> Array:
         """Return commanded voltages (B, drives) for goals (B, 1 + P, axes), m, now and at the end of each period."""
         goals = self._dead_time.delayed_goals(goals)
         horizon = min(goals.shape[1] - 1, max(1, round(HORIZON_S / self.period)))
@@ -219,6 +238,7 @@ class PredictiveController(FullStateController):
             )
         return self._path_planner.command(
             state,
+            memory,
             goals[:, : horizon + 1],
             parameters,
             self.estimator.offset,
@@ -245,6 +265,7 @@ class _PathPlanner:
     def command(
         self,
         state: Array,
+        memory: Array,
         goals: Array,
         parameters: Array,
         offset: Array,
@@ -263,7 +284,7 @@ class _PathPlanner:
         R, D = self._response, CHANGE_WEIGHT * self._difference
         normal = R.transpose(0, 2, 1) @ R + D.T @ D
         commands = inversion.command(volts.reshape(-1, len(self._rated))).reshape(volts.shape)
-        samples = self._simulation.tool_positions(state, parameters, commands + offset[:, None])
+        samples = self._simulation.tool_positions(state, memory, parameters, commands + offset[:, None])
         ends = samples[:, samples.shape[1] // self.horizon - 1 :: samples.shape[1] // self.horizon]
         error = (ends - goals[:, 1:]).reshape(batch, -1)
         change = volts.reshape(batch, -1) @ D.T - CHANGE_WEIGHT * last

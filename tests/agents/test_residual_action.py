@@ -5,7 +5,8 @@ import pytest
 
 from hframe_gym.agents.feedback_laws import VARIANTS
 from hframe_gym.agents.residual_action import LARGEST_HELD, ActionParts, Authority, ResidualAction
-from hframe_gym.controllers import CONTROLLERS
+from hframe_gym.controllers import CONTROLLERS, MotionModel
+from hframe_gym.effects import EFFECTS
 from hframe_gym.envs import HFrameVectorEnv, observation_space
 from hframe_gym.errors import InputError
 from hframe_gym.machine import BUILTIN_MACHINES
@@ -155,6 +156,15 @@ def test_plans_follow_the_estimates():
     # The same for all machines at first, then different.
     assert np.ptp(gains[0], axis=0).max() < 0.05 * np.abs(gains[0]).max()
     assert np.ptp(gains[-1], axis=0).max() > 0.05 * np.abs(gains[-1]).max()
+
+
+def test_plans_are_made_for_a_carriage_with_a_load_that_swings():
+    machine = MACHINE.with_effects(EFFECTS["payload_swing"].at("y", f0=1.8, zeta=0.05, r=0.3))
+    mapping = ResidualAction(machine, 0.01, estimates=True, plans=[3, 6])
+    observation = rest_observation(machine, (0.1, 0.0), (0.1, 1e-3))
+    mapping.augment(observation)
+    towards_goal = mapping.laws.volts[0] @ MotionModel(machine).force_per_volt.T
+    assert (towards_goal[:, 1] > np.abs(towards_goal[:, 0])).all()
 
 
 @pytest.mark.parametrize(

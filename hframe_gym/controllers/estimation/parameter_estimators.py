@@ -28,9 +28,9 @@ from numpy.typing import NDArray
 from typing_extensions import override
 
 from ...arrays import Array, Mask, ParameterRows, TravelStates
-from ...dynamics import rollout
 from ..base import SIMULATION_STEP_S
 from ..models.motion_model import MotionModel
+from ..models.simulated_motion import SimulatedMotion
 from .estimation_model import ParameterRatios, prior_deviation
 from .recursive_least_squares import RecursiveLeastSquares
 
@@ -72,6 +72,8 @@ class ParameterEstimator(ABC):
         size: Number of estimates.
         estimates: Logarithms of the ratios of actual to declared values (0.1: about 10 % above), limited, in the order
             of `prior_std`, then the missing voltages, shape (B, size). Zero at the start of an episode.
+        memory: Memories of the machines at the last state (`SimulatedMotion`), shape (B, M): what effects and swinging
+            loads remember of the episode.
     """
 
     prior_std: ClassVar[Mapping[str, float]]
@@ -95,15 +97,15 @@ class ParameterEstimator(ABC):
             if name in machine.parameters
         }
         self._model, self._ratios = model, ParameterRatios(machine, std)
+        self._motion = SimulatedMotion(model)
         self.parameter_names = self._ratios.names
         offsets = [] if self.prior_offset_std is None else [self.prior_offset_std] * len(model.rated)
         self.size, self._offsets = len(std) + len(offsets), slice(len(std), len(std) + len(offsets))
         self._std = np.array([*std.values(), *offsets])
         self._state_unit = np.repeat(self.state_std, len(model.mass))
-        self._travel_per_unit = np.tile(machine.travel_per_unit, 2)
         self._time_s = np.array([0.0, switch_s, period] if switch_s > 0.0 else [0.0, period])
         self._levels = len(self._time_s) - 1  # voltages that follow each other in a period
-        self.estimates = np.zeros((0, self.size))
+        self.estimates, self.memory = np.zeros((0, self.size)), np.zeros((0, self._motion.memory_size))
 
     def update(self, before: TravelStates, after: TravelStates, actions: Array, starts: Mask) -> None:
         """Update the attribute `estimates` with the measured states of the control period that has ended.
@@ -116,9 +118,12 @@ class ParameterEstimator(ABC):
         """
         if len(self.estimates) != len(starts):
             self._resize(len(starts))
+            self.memory = np.zeros((len(starts), self._motion.memory_size))
         if not starts.all():
             self._correct(before, after, actions, starts)
+            self._remember(before, after, actions)
         self._restart(starts)
+        self.memory[starts] = 0.0
 
     def parameters(self, estimates: Array) -> ParameterRows:
         """Convert `estimates` to the values of all parameters; those that are not estimated keep their declared values.
@@ -139,28 +144,41 @@ class ParameterEstimator(ABC):
     def _restart(self, starts: Mask) -> None:
         """Forget the episodes of the machines (B,) that start a new one."""
 
-    def _simulate(self, estimates: Array, before: Array, actions: Array) -> Array:
+    def _simulate(self, estimates: Array, before: Array, memory: Array, actions: Array) -> Array:
         """Simulate R control periods with given estimates, and again with each of them changed by `difference`."""
         variants = 1 + self.size
         varied = np.tile(estimates, (variants, 1, 1))
         varied[1:] += self.difference * np.eye(self.size)[:, None]
-        varied = varied.reshape(-1, self.size)
-        actions = np.tile(actions.reshape(len(actions), self._levels, -1), (variants, 1, 1))
+        before, memory, actions = (
+            np.tile(rows, (variants, *(1,) * (rows.ndim - 1))) for rows in (before, memory, actions)
+        )
+        end, _ = self._simulated_end(varied.reshape(-1, self.size), before, memory, actions)
+        return (end / self._state_unit).reshape(variants, *estimates.shape[:1], -1)
+
+    def _remember(self, before: Array, after: Array, actions: Array) -> None:
+        """Move the memories on over the period that ends with the state `after`."""
+        if self._motion.memory_size:
+            end, memory = self._simulated_end(self.estimates, before, self.memory, actions)
+            self.memory = self._motion.corrected(memory, end, after)
+
+    def _simulated_end(
+        self, estimates: Array, before: Array, memory: Array, actions: Array
+    ) -> tuple[Array, Array]:
+        """Return the states and memories with which R simulated control periods end."""
+        actions = actions.reshape(len(actions), self._levels, -1)
         if self.prior_offset_std is not None:
-            actions = actions + varied[:, None, self._offsets]
+            actions = actions + estimates[:, None, self._offsets]
         volts = actions * self._model.rated
-        states = rollout(
-            self._model.machine,
+        states, memories = self._motion.simulate(
+            before,
+            memory,
             self._time_s,
             np.concatenate([volts, volts[:, -1:]], axis=1),
-            velocities=True,
-            parameters=self.parameters(varied),
-            start=np.tile(before / self._travel_per_unit, (variants, 1)),
+            self.parameters(estimates),
             longest_step=self.integration_step,
             parallel=False,
         )
-        end = states[:, -1] * self._travel_per_unit
-        return np.asarray((end / self._state_unit).reshape(variants, *before.shape))
+        return states[:, -1], memories[:, -1]
 
 
 class ParameterFilter(ParameterEstimator):
@@ -189,7 +207,7 @@ class ParameterFilter(ParameterEstimator):
 
     @override
     def _correct(self, before: Array, after: Array, actions: Array, starts: Mask) -> None:
-        simulated = self._simulate(self.estimates, before, actions)
+        simulated = self._simulate(self.estimates, before, self.memory, actions)
         innovation = after / self._state_unit - simulated[0]  # in units of `state_std`
         H = ((simulated[1:] - simulated[0]) / self.difference).transpose(1, 2, 0)  # (B, 2 n, size)
         self._least_squares.correct(innovation, H, np.ones(H.shape[1]))
@@ -238,13 +256,19 @@ class ParameterWindow(ParameterEstimator):
         self._information_vector = np.zeros((batch, self.size))
         # The last periods, the latest last: states before and after, actions, and whether they belong to the episode.
         self._before, self._after = np.zeros((2, WINDOW, batch, states))
+        self._memories = np.zeros((WINDOW, batch, self._motion.memory_size))  # before
         self._actions, self._valid = np.zeros((WINDOW, batch, volts)), np.zeros((WINDOW, batch))
         self._elapsed = np.zeros(batch, np.intp)
 
     @override
     def _correct(self, before: Array, after: Array, actions: Array, starts: Mask) -> None:
         self._update_arrival_cost()
-        for rows, new in ((self._before, before), (self._after, after), (self._actions, actions)):
+        for rows, new in (
+            (self._before, before),
+            (self._memories, self.memory),
+            (self._after, after),
+            (self._actions, actions),
+        ):
             rows[:-1] = rows[1:]
             rows[-1] = new.reshape(rows[-1].shape)
         self._valid[:-1] = self._valid[1:]
@@ -313,6 +337,7 @@ class ParameterWindow(ParameterEstimator):
         simulated = self._simulate(
             np.tile(self.estimates, (periods, 1)),
             before.reshape(-1, states),
+            self._memories[chosen].reshape(periods * batch, -1),
             actions.reshape(periods * batch, -1),
         )
         error = simulated.reshape(-1, periods, batch, states) - after / self._state_unit

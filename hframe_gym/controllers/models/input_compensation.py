@@ -7,7 +7,7 @@ import importlib
 
 import numpy as np
 
-from ...arrays import Array, Mask, ParameterRows, TravelStates, Volts
+from ...arrays import Array, Mask, TravelStates, Volts
 from ...dynamics import Equations, rollout
 from ...errors import InputError
 from ...machine import Machine
@@ -109,29 +109,28 @@ class DeadTime:
         periods = np.arange(goals.shape[1], dtype=np.float64)
         return np.asarray(PchipInterpolator(periods, goals, axis=1)(np.minimum(later, periods[-1])))
 
-    def predict(
-        self, state: TravelStates, parameters: ParameterRows | None = None, offset: Volts | None = None
-    ) -> TravelStates:
-        """Predict the state at the end of the dead time by simulation with the voltages in the delay line.
+    def pending_history(self) -> tuple[Array, Array]:
+        """Return the piecewise constant voltages that reach the drives from now until the end of the dead time.
 
-        Args:
-            parameters: Parameters of `machine_without_delay`. Default: its declared ones.
-            offset: Voltages added to those in the delay line, for example for an estimated disturbance.
+        Returns:
+            times: k times from now, s, shape (k,), from 0 to `delay_s`.
+            volts: Voltages of B simulated machines from each of these times until the next, V, shape (B, k, drives);
+                the last entry repeats the one before it.
         """
-        if self.delay_s == 0.0:
-            return state
         # At first, for the remainder of the delay, the motors still receive the voltages of one period earlier.
         times = np.concatenate(
             [[0.0], self.remainder_s + self.period * np.arange(self._complete_periods + 1)]
         )
         volts = self._sent[:, [*range(self._complete_periods, -1, -1), 0]]
-        if self.remainder_s == 0.0:
-            times, volts = times[1:], volts[:, 1:]
-        volts = volts if offset is None else volts + offset[:, None]
+        return (times, volts) if self.remainder_s > 0.0 else (times[1:], volts[:, 1:])
+
+    def predict(self, state: TravelStates) -> TravelStates:
+        """Predict the state at the end of the dead time by simulation with the voltages in the delay line."""
+        if self.delay_s == 0.0:
+            return state
+        times, volts = self.pending_history()
         machine, scale = self.machine_without_delay, np.tile(self.machine_without_delay.travel_per_unit, 2)
-        end = rollout(machine, times, volts, start=state / scale, parameters=parameters, velocities=True)[
-            :, -1
-        ]
+        end = rollout(machine, times, volts, start=state / scale, velocities=True)[:, -1]
         return np.asarray(end * scale)
 
 

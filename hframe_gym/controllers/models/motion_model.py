@@ -88,6 +88,8 @@ class MotionModel:
             Coordinates that effects add do not move in the model (`rigid_counterpart`).
 
     Attributes:
+        machine: Machine without the coordinates that effects add.
+        simulated: The same with the loads that swing slowly (`slow_loads`), for simulations (`SimulatedMotion`).
         axes: Names of the tool's coordinates, ("x", "y") or one name.
         tool: Indices of these coordinates in the machine's order.
         observed: Coordinate names in the order of a full-state observation.
@@ -107,6 +109,7 @@ class MotionModel:
     """
 
     def __init__(self, machine: Machine) -> None:
+        self.simulated = rigid_counterpart(machine, with_slow_loads=True)
         machine = rigid_counterpart(machine)
         names = machine.coordinate_names
         following = [d.name for d in machine.drives if d.law]

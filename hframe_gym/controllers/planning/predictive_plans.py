@@ -17,10 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...arrays import Array, CoordinateForces, ParameterRows, ToolPositions, TravelStates
-from ...dynamics import belt_modes, rollout
+from ...dynamics import belt_modes
 from ..base import SIMULATION_STEP_S
 from ..models.linear_motion import scaled_matrices, state_scale
 from ..models.motion_model import MotionModel
+from ..models.simulated_motion import SimulatedMotion
 
 Indices = NDArray[np.intp]
 # Arrival: unit of the tool's errors, m, weight of the belts' motion at the end of the plan, and of the voltages as
@@ -204,30 +205,34 @@ class PlanSimulation:
     """Simulation of plans of voltages for B machines, and improvement of plans by simulations."""
 
     def __init__(self, model: MotionModel, period: float, periods: int) -> None:
-        self._model, self.periods = model, periods
+        self._model, self.periods, self._motion = model, periods, SimulatedMotion(model)
         self._time_s = np.linspace(0.0, period * periods, periods * SAMPLES + 1)
 
-    def tool_positions(self, state: TravelStates, parameters: ParameterRows, volts: Array) -> Array:
+    def tool_positions(
+        self, state: TravelStates, memory: Array, parameters: ParameterRows, volts: Array
+    ) -> Array:
         """Simulate; return tool positions at 4 equidistant times per period, m, shape (B, 4 * periods, axes).
 
         Args:
+            memory: Memories of the machines (`SimulatedMotion`), shape (B, M).
             volts: Commanded voltages of each period, V, shape (B, periods, drives).
         """
         inputs = np.repeat(volts, SAMPLES, axis=1)
-        positions = rollout(
-            self._model.machine,
+        states, _ = self._motion.simulate(
+            state,
+            memory,
             self._time_s[: inputs.shape[1] + 1],
             np.concatenate([inputs, inputs[:, -1:]], axis=1),
-            parameters=parameters,
-            start=state / np.tile(self._model.machine.travel_per_unit, 2),
+            parameters,
             longest_step=SIMULATION_STEP_S,
             parallel=False,
         )
-        return np.asarray(self._model.axis_travel(positions[:, 1:, self._model.tool]))
+        return states[:, 1:, self._model.tool]
 
     def improve(
         self,
         state: TravelStates,
+        memory: Array,
         parameters: ParameterRows,
         goal: ToolPositions,
         plans: list[Array],
@@ -241,6 +246,7 @@ class PlanSimulation:
         by finite differences, reduce the cost.
 
         Args:
+            memory: Memories of the machines (`SimulatedMotion`), shape (B, M).
             plans: One array per plan, at least one: commanded voltages of each period, V, shape (B, periods, drives).
             arrival: Number K of periods until the tool should have arrived, shape (B,).
             count: Number of periods since the start of the episode. It selects the finite-difference steps, whose size
@@ -254,8 +260,10 @@ class PlanSimulation:
 
         def residuals(volts: Array, repeats: int = 1) -> Array:
             """Return the errors of the tool in SAMPLE_UNIT, (B * repeats, samples, axes)."""
-            start, values, end = (np.repeat(array, repeats, axis=0) for array in (state, parameters, goal))
-            error = (self.tool_positions(start, values, volts) - end[:, None]) / SAMPLE_UNIT
+            start, remembered, values, end = (
+                np.repeat(array, repeats, axis=0) for array in (state, memory, parameters, goal)
+            )
+            error = (self.tool_positions(start, remembered, values, volts) - end[:, None]) / SAMPLE_UNIT
             return np.asarray(error * np.repeat(counted, repeats, axis=0)[..., None])
 
         def tried(volts: Array) -> _TriedPlan:

@@ -23,10 +23,11 @@ from typing import NamedTuple
 import numpy as np
 
 from ...arrays import Array, ParameterRows, ToolPositions, TravelStates, Volts
-from ...dynamics import Equations, rollout
+from ...dynamics import Equations
 from ...errors import InputError
 from ..models.linear_motion import LinearMotion, reachability, state_scale
 from ..models.motion_model import MotionModel
+from ..models.simulated_motion import SimulatedMotion
 
 SIMULATED_PERIODS, CORRECTIONS = 6, 5  # longest plan that is simulated, and how often it is corrected
 SHORTER = 0.5  # factor of a correction after one that did not help
@@ -66,10 +67,9 @@ class SimulatedTransfers:
             raise InputError(
                 f"durations of transfers are {list(durations)}; they must be positive and ascending"
             )
-        self._model, self._linear = model, LinearMotion(model, period)
+        self._model, self._linear, self._motion = model, LinearMotion(model, period), SimulatedMotion(model)
         self._durations = np.array(durations)
         self._scale = state_scale(2 * len(model.mass))
-        self._units = np.tile(model.machine.travel_per_unit, 2)
         self._simulated = self._durations[self._durations <= SIMULATED_PERIODS]
         longest = self._simulated.max(initial=1)
         self._time_s = period * np.arange(longest + 1)
@@ -78,13 +78,23 @@ class SimulatedTransfers:
             self._time_s = np.insert(self._time_s, 1, SWITCHING_S)
 
     def plan(
-        self, state: TravelStates, goal: ToolPositions, parameters: ParameterRows, last_volts: Volts
+        self,
+        state: TravelStates,
+        goal: ToolPositions,
+        parameters: ParameterRows,
+        last_volts: Volts,
+        memory: Array | None = None,
     ) -> PlannedTransfers:
         """Plan motions from the present states to rest at the goals, one for each of the planner's K durations.
 
         Plans of up to SIMULATED_PERIODS = 6 periods are corrected by simulations of the machines with their
         effects. The last voltages still act during the dead time of the drives. `PlannedTransfers` states the shapes.
+
+        Args:
+            memory: Memories of the machines (`SimulatedMotion`), shape (B, M). Default: those at rest.
         """
+        if memory is None:
+            memory = np.zeros((len(state), self._motion.memory_size))
         scale = self._scale
         error = state - self._model.goal_state(goal)
         force = self._linear.opposing_friction(state, error, parameters)
@@ -96,7 +106,7 @@ class SimulatedTransfers:
         best, smallest = planned[:, :count], np.full((len(state), count), np.inf)
         correction, step_length = np.zeros_like(best), np.ones_like(smallest)
         for _ in range(CORRECTIONS + 1 if count else 0):  # the last correction is simulated as well
-            final = self._final_states(pulse, planned[:, :count], state, parameters, last_volts)
+            final = self._final_states(pulse, planned[:, :count], state, memory, parameters, last_volts)
             final_error = (final - self._model.goal_state(goal)[:, None]) / scale
             # A simulation that diverges counts as an error of 1 m or 100 m/s.
             final_error = np.nan_to_num(final_error, nan=1.0, posinf=1.0, neginf=-1.0)
@@ -132,7 +142,13 @@ class SimulatedTransfers:
         return np.stack(pulses, axis=1), chosen, -np.linalg.solve(chosen, final[:, self._durations])
 
     def _final_states(
-        self, pulse: Array, costates: Array, state: Array, parameters: Array, last_volts: Array
+        self,
+        pulse: Array,
+        costates: Array,
+        state: Array,
+        memory: Array,
+        parameters: Array,
+        last_volts: Array,
     ) -> Array:
         """Simulate the plans that end soon, within the voltage limits; return the states at their ends (B, k, 2 n)."""
         periods, rated = int(self._simulated[-1]), self._model.rated
@@ -147,17 +163,14 @@ class SimulatedTransfers:
         count = len(self._simulated)
         if self._delayed:
             volts = np.concatenate([np.repeat(last_volts, count, axis=0)[:, None], volts], axis=1)
-        states = rollout(
-            self._model.machine,
+        states, _ = self._motion.simulate(
+            np.repeat(state, count, axis=0),
+            np.repeat(memory, count, axis=0),
             self._time_s,
             volts,
-            velocities=True,
-            parameters=np.repeat(parameters, count, axis=0),
-            start=np.repeat(state / self._units, count, axis=0),
+            np.repeat(parameters, count, axis=0),
             longest_step=CORRECTION_STEP_S,
             parallel=False,
         )
-        ends = states[:, -periods:].reshape(len(state), count, periods, -1)[
-            :, np.arange(count), self._simulated - 1
-        ]
-        return np.asarray(ends * self._units)
+        by_plan = states[:, -periods:].reshape(len(state), count, periods, -1)
+        return by_plan[:, np.arange(count), self._simulated - 1]

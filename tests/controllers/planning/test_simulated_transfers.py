@@ -102,3 +102,20 @@ def test_of_the_simulated_plans_the_one_that_ends_nearest_is_used(monkeypatch):
 def test_durations_must_be_positive_and_ascending(durations):
     with pytest.raises(InputError, match="must be positive and ascending"):
         SimulatedTransfers(MODEL, PERIOD, durations)
+
+
+def test_plans_know_how_a_load_swings():
+    machine = MACHINE.with_effects(EFFECTS["payload_swing"].at("y", f0=1.8, zeta=0.05, r=0.3))
+    model, goal = MotionModel(machine), np.zeros((1, 2))
+    parameters = np.array([list(model.machine.parameters.values())])
+    state, last = model.goal_state(np.array([[0.0, 1e-3]])), np.zeros((1, 2))
+    transfers = SimulatedTransfers(model, PERIOD, [6])
+    at_rest, swung = (
+        transfers.plan(state, goal, parameters, last, memory).volts[0, 0]
+        for memory in (None, np.array([[2e-2, 0.0]]))
+    )
+    # The deflected load pulls its carriage in the direction of y; the voltages hold against it.
+    w = 2.0 * np.pi * 1.8
+    pull = 0.3 * machine.coordinate("y").mass * w**2 * 2e-2
+    held = model.voltage(np.array([[0.0, -pull]]))[0]
+    np.testing.assert_allclose(swung - at_rest, held, rtol=0.4)

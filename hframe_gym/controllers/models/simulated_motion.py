@@ -1,0 +1,104 @@
+"""Simulation of the machine behind a controller's model, with what decides its motion and no sensor measures.
+
+A state of `MotionModel` holds travel and velocity of the coordinates of tool and drives. The motion also depends on
+what the machine remembers: the states of effects, such as a hysteresis, the heat of a winding, or the rotation of an
+eccentric pulley since the episode started, and the deflection of a load that swings slowly on its carriage. A
+simulation of one control period that began without them would take the deflection of an eccentric pulley for a
+stretched belt, which is a force of tens of newtons.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ...arrays import Array, ParameterRows, Times, TravelStates
+from ...dynamics import instances_with_state, simulate_batch
+from .motion_model import MotionModel
+
+
+class SimulatedMotion:
+    """Simulations of B machines from states of a controller's model and their memories.
+
+    Attributes:
+        memory_size: Number M of entries of a memory. A memory, shape (B, M), holds deflections of slow loads, their
+            rates, then the states of effects, SI; zero where a machine starts an episode at rest.
+    """
+
+    def __init__(self, model: MotionModel) -> None:
+        self._machine = machine = model.simulated
+        names, modeled = machine.coordinate_names, model.machine.coordinate_names
+        n, effects = len(names), len(instances_with_state(machine))
+        kept = np.array([names.index(name) for name in modeled], np.intp)
+        loads = np.array([i for i, name in enumerate(names) if name not in modeled], np.intp)
+        self._state_columns = np.concatenate([kept, n + kept])
+        self._memory_columns = np.concatenate([loads, n + loads, 2 * n + np.arange(effects)]).astype(np.intp)
+        self.memory_size = len(self._memory_columns)
+        self._scale = np.tile(model.machine.travel_per_unit, 2)
+        parameters = list(machine.parameters)
+        self._parameter_columns = [parameters.index(name) for name in model.machine.parameters]
+        self._parameters = np.array(list(machine.parameters.values()))
+        # Entries of the memory and of the state in which a load and its carriage deviate together, and the load's unit.
+        sites = {e.coordinate: e.site for e in machine.effects if e.definition.reaction}
+        carriages = np.array([modeled.index(sites[names[i]]) for i in loads], np.intp)
+        self._load_columns = np.arange(2 * len(loads))
+        self._carriage_columns = np.concatenate([carriages, len(modeled) + carriages])
+
+    def simulate(
+        self,
+        state: TravelStates,
+        memory: Array,
+        time_s: Times,
+        volts: Array,
+        parameters: ParameterRows | None = None,
+        **options: Any,
+    ) -> tuple[Array, Array]:
+        """Simulate from states and memories at the first time.
+
+        Args:
+            memory: Memories, shape (B, M).
+            volts: Commanded voltages, held from each time until the next, V, shape (B, N, drives).
+            parameters: Parameters of the model's machine, shape (B, parameters). Default: its own.
+            **options: Keyword arguments of `simulate_batch`: `longest_step`, `parallel`.
+
+        Returns:
+            States of the model, shape (B, N, 2 n), and memories, shape (B, N, M), at all times.
+        """
+        start = np.empty((len(state), len(self._state_columns) + self.memory_size))
+        start[:, self._state_columns] = state / self._scale
+        start[:, self._memory_columns] = memory
+        rows = parameters
+        if parameters is not None and len(self._parameters) > parameters.shape[1]:
+            rows = np.tile(self._parameters, (len(parameters), 1))
+            rows[:, self._parameter_columns] = parameters
+        motion = simulate_batch(
+            self._machine,
+            time_s,
+            volts,
+            parameters=rows,
+            start=start,
+            readings=False,
+            effects=self.memory_size > 0,
+            **options,
+        )
+        whole = np.concatenate([motion.positions, motion.velocities, motion.effects], axis=2)
+        return whole[:, :, self._state_columns] * self._scale, whole[:, :, self._memory_columns]
+
+    def corrected(self, memory: Array, simulated: TravelStates, measured: TravelStates) -> Array:
+        """Correct simulated memories by measured states.
+
+        A load keeps its place and speed in space if its carriage is found elsewhere: the deflection makes up for it.
+
+        Args:
+            memory: Memories with which the simulation ends, shape (B, M).
+            simulated: States with which it ends.
+            measured: States that are measured then.
+
+        Returns:
+            Memories, shape (B, M).
+        """
+        result = memory.copy()
+        found = (measured - simulated) / self._scale
+        result[:, self._load_columns] -= found[:, self._carriage_columns]
+        return result
