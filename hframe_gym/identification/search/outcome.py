@@ -85,7 +85,7 @@ def with_removed(
 
 
 def without_names(outcome: SearchOutcome, reason: str) -> SearchOutcome:
-    """Return an outcome whose effects are listed as considered instead of named.
+    """Return an outcome whose effects are listed as considered instead of named, as if none had been found.
 
     Args:
         outcome: Outcome of a search.
@@ -96,5 +96,8 @@ def without_names(outcome: SearchOutcome, reason: str) -> SearchOutcome:
         for s in outcome.selected
     )
     return outcome._replace(
-        verdict="unexplained", after=outcome.before, selected=(), considered=(*entries, *outcome.considered)
+        verdict=verdict_after_removal(outcome.verdict, False, outcome.before_explains),
+        after=outcome.before,
+        selected=(),
+        considered=(*entries, *outcome.considered),
     )

@@ -211,6 +211,8 @@ class Evaluated(NamedTuple):
 def judged(evaluated: Evaluated, differing: Sequence[str], log: Log) -> Evaluated:
     """Let the held-out runs judge the names of effects and the verdict.
 
+    Where they permit no names, they judge the refitted machine, which may need no effect.
+
     Args:
         evaluated: Outcome of a search with its machines.
         differing: Names of held-out runs that contradict the fitted ones.
@@ -223,11 +225,13 @@ def judged(evaluated: Evaluated, differing: Sequence[str], log: Log) -> Evaluate
     reason, outcome = _contradiction(evaluated, differing), evaluated.outcome
     if not reason:
         return evaluated
-    if not outcome.selected:
-        return evaluated._replace(outcome=outcome._replace(verdict="unexplained"), reason=reason)
-    for s in outcome.selected:
-        log(f"  {s.effect.label} is not named: {reason}")
-    return evaluated.test.evaluate(without_names(outcome, reason))._replace(reason=reason)
+    if outcome.selected:
+        for s in outcome.selected:
+            log(f"  {s.effect.label} is not named: {reason}")
+        evaluated = evaluated.test.evaluate(without_names(outcome, reason))
+        if evaluated.outcome.verdict == "no_effect" and not _contradiction(evaluated, differing):
+            return evaluated
+    return evaluated._replace(outcome=evaluated.outcome._replace(verdict="unexplained"), reason=reason)
 
 
 def _contradiction(evaluated: Evaluated, differing: Sequence[str]) -> str:

@@ -205,7 +205,8 @@ def _is_worse(model: ModelEvaluation, reference: ModelEvaluation, test: HeldOutT
 def _instead(evaluated: Evaluated, fitted: Fit, reason: str) -> Evaluated:
     """Return the outcome with another machine instead of that of the search, without names."""
     outcome = evaluated.outcome
-    outcome = without_names(outcome, reason) if outcome.selected else outcome
+    if outcome.selected:
+        outcome = without_names(outcome, reason)._replace(verdict="unexplained")
     return evaluated.test.evaluate(outcome._replace(after=fitted))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any
 
@@ -21,7 +22,9 @@ from hframe_gym.identification.judge.verdict import (
     remaining,
 )
 from hframe_gym.identification.propose.dependences import agree_with_causes
-from hframe_gym.identification.validate.evaluation import _with_fast_error
+from hframe_gym.identification.search.outcome import SearchOutcome
+from hframe_gym.identification.validate import evaluation
+from hframe_gym.identification.validate.evaluation import Evaluated, _with_fast_error, judged
 from hframe_gym.machine import AppliedEffect, Machine
 from hframe_gym.recordings import Recording
 from tests.identification.single_axis import AXIS, limited_runs
@@ -179,6 +182,38 @@ def test_right_effects_remove_the_square_of_what_they_change(
     found = _with_fast_error(EXACT, evaluated, ())
     assert found.reduction == pytest.approx(reduction, abs=0.15)
     assert found.remaining_fast == pytest.approx(fast, abs=0.15)
+
+
+@pytest.mark.parametrize(
+    ("refitted_explains", "contradicted", "verdict"),
+    [
+        (True, False, "no_effect"),  # a constant force had described what the voltages between the rows cause
+        (True, True, "unexplained"),
+        (False, False, "unexplained"),
+    ],
+)
+def test_without_its_names_the_refitted_machine_is_judged(
+    refitted_explains: bool, contradicted: bool, verdict: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The reasons against the names say nothing about a machine without effects."""
+    axis: Any = SimpleNamespace(machine=AXIS)
+    force: Any = SimpleNamespace(effect=EFFECTS["constant_force"].at("x", size=0.1))
+    nothing: Any = None
+    outcome = SearchOutcome(axis, refitted_explains, True, "effect_found", axis, (force,), (), nothing)
+
+    def contradiction(evaluated: Evaluated, differing: Sequence[str]) -> str:
+        return "too much remains" if evaluated.outcome.selected or contradicted else ""
+
+    class HeldOutRuns:
+        def evaluate(self, outcome: SearchOutcome) -> Evaluated:
+            test: Any = self
+            return Evaluated(outcome, outcome.selected, nothing, nothing, nothing, test)
+
+    monkeypatch.setattr(evaluation, "_contradiction", contradiction)
+    found = judged(HeldOutRuns().evaluate(outcome), (), lambda line: None)
+    assert (found.outcome.verdict, found.selected) == (verdict, ())
+    assert found.reason == ("" if verdict == "no_effect" else "too much remains")
+    assert [c.reason for c in found.outcome.considered] == ["is not named: too much remains"]
 
 
 @pytest.mark.parametrize(
