@@ -16,6 +16,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...arrays import Array
 from ...machine import Machine
@@ -317,6 +318,11 @@ def cross_validation(fitted: Fit, data: Dataset, pieces: int) -> list[tuple[floa
     Returns:
         For each piece, its cost and that of all others, dimensionless; infinite if the machine diverges.
     """
+    return costs_left_out(_equations_of_pieces(fitted, data, pieces), fitted.free, fitted.theta)
+
+
+def _equations_of_pieces(fitted: Fit, data: Dataset, pieces: int) -> list[NormalEquations]:
+    """Return the normal equations of each piece of the runs around a fit."""
     model = ResidualModel(fitted.machine, fitted.free, data, fitted.bandwidth, fitted.longest_step)
     point = model.at(fitted.theta)
 
@@ -324,8 +330,7 @@ def cross_validation(fitted: Fit, data: Dataset, pieces: int) -> list[tuple[floa
         rows = point.linearize_run(run)
         return NormalEquations.of_pieces(rows.jacobian, rows.residual, run.count, pieces)
 
-    equations = [piece for of_pieces in map_runs(of_run, data) for piece in of_pieces]
-    return costs_left_out(equations, fitted.free, fitted.theta)
+    return [piece for of_pieces in map_runs(of_run, data) for piece in of_pieces]
 
 
 def costs_left_out(
@@ -376,3 +381,55 @@ def thetas_left_out(
         slope = total.gradient - left_out.gradient + precision @ theta
         thetas.append(theta + bounded_step(free, theta, hessian, slope))
     return thetas
+
+
+def cross_validation_of_some(
+    fitted: Fit, tested: NDArray[np.bool_], data: Dataset, pieces: int
+) -> list[float]:
+    """Compute the costs of pieces of the runs with values of some parameters that are fitted to all other pieces.
+
+    Args:
+        fitted: Fit of a machine, of k parameters.
+        tested: True for these parameters, shape (k,).
+        data: Runs that were fitted.
+        pieces: Number of pieces into which each run is divided; 1 for complete runs.
+
+    Returns:
+        Cost of each piece, dimensionless, by `costs_of_some_left_out`.
+    """
+    equations = _equations_of_pieces(fitted, data, pieces)
+    return costs_of_some_left_out(equations, tested, fitted.free, fitted.theta)
+
+
+def costs_of_some_left_out(
+    equations: Sequence[NormalEquations],
+    tested: NDArray[np.bool_],
+    free: Sequence[FreeParameter],
+    theta: Array,
+) -> list[float]:
+    """Compute the costs of pieces of a linear model with values of some parameters that are fitted to all other pieces.
+
+    The other parameters are fitted to all pieces beside these values. A piece may alone determine one of them, such as
+    a current that no other piece reaches: without it, this parameter would make any error.
+
+    Args:
+        equations: Normal equations of each piece, of k parameters.
+        tested: True for the parameters of which the other pieces determine the values, shape (k,).
+        free: The parameters, with their limits and priors.
+        theta: Fitted parameters, at which the model is linearized, dimensionless, shape (k,).
+
+    Returns:
+        Cost of each piece, dimensionless; infinite if a piece is not finite.
+    """
+    total = NormalEquations.total(equations)
+    if not total.finite:  # the machine diverges
+        return [math.inf] * len(equations)
+    others, others_free = ~tested, [f for f, is_tested in zip(free, tested, strict=True) if not is_tested]
+    hessian = total.information + prior_precision(free) * max(1.0, total.chi2)
+    costs = []
+    for left_out, fitted in zip(equations, thetas_left_out(equations, free, theta), strict=True):
+        step = np.where(tested, fitted - theta, 0.0)
+        slope = (hessian @ step)[others]  # theta is the best fit: only the tested parameters move the others
+        step[others] = bounded_step(others_free, theta[others], hessian[np.ix_(others, others)], slope)
+        costs.append(left_out.cost + float(2.0 * left_out.gradient @ step + step @ left_out.information @ step))
+    return costs

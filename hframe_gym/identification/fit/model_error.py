@@ -20,6 +20,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
+import numpy as np
+from numpy.typing import NDArray
+
+from ...arrays import Array
 from ...effects.smooth_table import TABLE_FAMILY
 from ...machine import Machine
 from ...preparation.dataset import Dataset
@@ -27,6 +31,7 @@ from ..budget import goes_on
 from ..judge import run as judge
 from ..judge.observer import best_in_simulation, likeliest
 from ..judge.run import MIN_RUNS_COMPARED
+from ..predict.free_parameters import FreeParameter
 from ..predict.linearization import ResidualModel
 from ..predict.normal_equations import NormalEquations
 from ..predict.prediction import (
@@ -37,7 +42,14 @@ from ..predict.prediction import (
     SIMULATION,
     innovation_variance,
 )
-from .estimation import Fit, cross_validation, fit, prediction_cost, thetas_left_out
+from .estimation import (
+    Fit,
+    cross_validation,
+    cross_validation_of_some,
+    fit,
+    prediction_cost,
+    thetas_left_out,
+)
 
 # Decrease of cost / chi2 at which a polished fit ends; it is 1 at one standard deviation.
 _CONVERGED_COST = 0.02
@@ -262,9 +274,10 @@ def _cross_validated_cost(fitted: Fit, data: Dataset) -> float:
 
 
 def leave_one_out_gain(without: Fit, with_effect: Fit, data: Dataset) -> float:
-    """Return by how much an effect reduces the error of runs to which it was not fitted (leave one run out).
+    """Return by how much an effect with values from other runs reduces the error of each run (leave one run out).
 
-    It is the difference of the sums of `left_out_costs` of both fits, with the pieces of `pieces_left_out`.
+    All other parameters are fitted to all runs, without the effect and beside these values of it
+    (`cross_validation_of_some`). The runs are divided as in `pieces_left_out`.
 
     Args:
         without: Fit without the effect.
@@ -275,12 +288,12 @@ def leave_one_out_gain(without: Fit, with_effect: Fit, data: Dataset) -> float:
         Reduction of the cost, dimensionless, summed over all runs. It is usually smaller than the reduction on the
         fitted runs, and negative if the effect describes single runs rather than the machine.
     """
-    pieces = _pieces_to_confirm(with_effect, data)
-    return sum(left_out_costs(without, data, pieces)) - sum(left_out_costs(with_effect, data, pieces))
+    tested, pieces = _of_effect(without, with_effect), _pieces_to_confirm(with_effect, data)
+    return without.cost - sum(cross_validation_of_some(with_effect, tested, data, pieces))
 
 
 def refitted_leave_one_out_gain(without: Fit, with_effect: Fit, data: Dataset) -> float:
-    """Return what `leave_one_out_gain` does, with parameters that are fitted again without each piece.
+    """Return what `leave_one_out_gain` does, with parameters that are fitted again for each piece.
 
     The step of the linear model is too long where a single run determines a combination of parameters: without this
     run, they leave the range in which the model is linear. All pieces are left out once more, because a choice of those
@@ -294,20 +307,37 @@ def refitted_leave_one_out_gain(without: Fit, with_effect: Fit, data: Dataset) -
     Returns:
         Reduction of the cost, dimensionless, summed over all runs.
     """
-    pieces = _pieces_to_confirm(with_effect, data)
-    gain = 0.0
+    tested, pieces = _of_effect(without, with_effect), _pieces_to_confirm(with_effect, data)
+    left = 0.0
     for piece in range(pieces * len(data.runs)):
         others, left_out = data.leaving_out(piece, pieces)
-        gain += _refitted_cost(without, others, left_out) - _refitted_cost(with_effect, others, left_out)
-    return gain
+        left += _refitted_cost(with_effect, tested, data, others, left_out)
+    return without.cost - left
 
 
-def _refitted_cost(fitted: Fit, others: Dataset, left_out: Dataset) -> float:
-    """Return the cost of data that are left out, with parameters that are fitted to all others until convergence."""
-    model, accurate = (fitted.machine, fitted.free, others, fitted.bandwidth), _CONVERGED_COST / others.count
+def _of_effect(without: Fit, with_effect: Fit) -> NDArray[np.bool_]:
+    """Return which free parameters belong to an effect, or to the coordinates that it adds."""
+    known = {free.name for free in without.free}
+    return np.array([free.name not in known for free in with_effect.free])
+
+
+def _refitted_cost(
+    fitted: Fit, tested: NDArray[np.bool_], data: Dataset, others: Dataset, left_out: Dataset
+) -> float:
+    """Return the cost of a piece with values of the tested parameters that are fitted to all others."""
     step = fitted.longest_step
-    again = fit(*model, theta=fitted.theta, tolerance=accurate, longest_step=step)
-    return prediction_cost(again.machine, left_out, fitted.bandwidth, longest_step=step)
+
+    def again(free: Sequence[FreeParameter], theta: Array, machine: Machine, runs: Dataset) -> Fit:
+        accurate = _CONVERGED_COST / runs.count
+        return fit(
+            machine, free, runs, fitted.bandwidth, theta=theta, tolerance=accurate, longest_step=step
+        )
+
+    elsewhere = again(fitted.free, fitted.theta, fitted.machine, others)
+    values = {f.name: elsewhere.values[f.name] for f, t in zip(fitted.free, tested, strict=True) if t}
+    adapting = tuple(f for f, t in zip(fitted.free, tested, strict=True) if not t)
+    beside = again(adapting, fitted.theta[~tested], fitted.machine.replace(values), data)
+    return prediction_cost(beside.machine, left_out, fitted.bandwidth, longest_step=step)
 
 
 def _pieces_to_confirm(with_effect: Fit, data: Dataset) -> int:

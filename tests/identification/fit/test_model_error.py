@@ -15,7 +15,11 @@ from hframe_gym.effects.smooth_table import KNOTS, definition
 from hframe_gym.identification import Dataset, Fit, default_free_parameters, fit, prepare
 from hframe_gym.identification.evidence.long_run_variance import long_run_variance
 from hframe_gym.identification.fit import model_error
-from hframe_gym.identification.fit.estimation import costs_left_out, prediction_cost
+from hframe_gym.identification.fit.estimation import (
+    costs_left_out,
+    costs_of_some_left_out,
+    prediction_cost,
+)
 from hframe_gym.identification.fit.force_sizes import residue_force
 from hframe_gym.identification.fit.model_error import (
     BANDWIDTHS,
@@ -204,6 +208,37 @@ def test_what_is_left_out_has_the_cost_of_a_fit_to_the_others(names: str) -> Non
         for piece in NormalEquations.of_pieces(jacobian, residual + theta0 @ jacobian, 80, pieces)
     ]
     np.testing.assert_allclose(costs_left_out(equations, free, theta0), expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize(("forces", "confirmed"), [((1.0, 1.0, 1.0, 1.0), True), ((4.0, 0.0, 0.0, 0.0), False)])
+def test_a_run_that_alone_determines_another_parameter_judges_an_effect_by_it(
+    forces: tuple[float, ...], confirmed: bool
+) -> None:
+    """Only run 0 reaches the limit of a current, which is far from the declared one; the tested force acts as well."""
+    rng = np.random.default_rng(1)
+    limit, force = FreeParameter("limit", 1.0, 10.0), FreeParameter("force", 1.0, 10.0)
+    rows = [rng.normal(size=(2, 400)) for _ in forces]
+    rows[0][1] += 0.3 * rows[0][0]
+    for jacobian in rows[1:]:
+        jacobian[0] = 0.0
+    measured = [rng.normal(size=400) - 30.0 * j[0] - f * j[1] for j, f in zip(rows, forces, strict=True)]
+
+    def fitted_equations(used: slice) -> tuple[list[NormalEquations], np.ndarray]:
+        jacobians = [jacobian[used] for jacobian in rows]
+        precision = np.eye(len(jacobians[0])) / 10.0**2
+        information = sum(j @ j.T for j in jacobians) + precision
+        theta = -np.linalg.solve(information, sum(j @ r for j, r in zip(jacobians, measured, strict=True)))
+        return [
+            NormalEquations.from_rows(j, r + theta @ j) for j, r in zip(jacobians, measured, strict=True)
+        ], theta
+
+    without, _ = fitted_equations(slice(0, 1))
+    with_effect, theta = fitted_equations(slice(0, 2))
+    gain = sum(part.cost for part in without) - sum(part.cost for part in with_effect)
+    tested = np.array([False, True])
+    left = costs_of_some_left_out(with_effect, tested, (limit, force), theta)
+    fraction = (sum(part.cost for part in without) - sum(left)) / gain
+    assert (fraction > 0.95) if confirmed else (fraction < 0.0)
 
 
 @pytest.mark.parametrize(
