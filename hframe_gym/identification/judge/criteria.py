@@ -89,8 +89,8 @@ class SelectionCriteria(SearchEffort):
         min_gain_fraction: Smallest gain relative to chi-squared per sample - 1, the error beyond the noise. An effect
             that removes less is a substitute for the true one.
         rival_gain_fraction: Fraction of the best candidate's gain above which another candidate counts as its rival.
-        min_confirmed_fraction: Smallest fraction of an effect's gain that remains if the parameters are fitted to the
-            other runs (leave-one-run-out).
+        min_confirmed_fraction: Smallest fraction of an effect's gain that remains if its parameters are fitted to the
+            other runs (leave-one-run-out), and those of the machine to all runs beside them.
         min_force_ratio: Smallest force of an effect relative to the force that remains unexplained beside it.
         min_drive_force_ratio: Smallest force of an effect relative to that of the drives. Amplifiers and numerical
             integration have larger errors.

@@ -138,7 +138,7 @@ class EffectSearch:
             counts_again = noise_known or may_begin_again()
             if counts_again and (updates := other_updates(best, self.data, criteria)):
                 raise VoltagesChangeError(best.machine, selected, updates)
-            current, selected = self._settled(best, selected, selected[:-1])
+            current, selected = self._settled(best, selected)
             current, self.data = with_probable_starts(current, self.data, criteria)
             note_error(current.chi2)
         for s in selected:
@@ -182,7 +182,7 @@ class EffectSearch:
                 expect_tests(seconds_spent() - began)
                 # The last one won against all others, but held voltages are another machine than interpolated ones.
                 held_before = [*data.updates_rejected][-1:] == [1]
-                return self._settled(complete, selected, selected if held_before else selected[:-1])
+                return self._settled(complete, selected, last_too=held_before)
         return current, ()
 
     def _passes_again(self, label: str, reduced: Fit, complete: Fit) -> bool:
@@ -200,10 +200,15 @@ class EffectSearch:
         return not doubt
 
     def _settled(
-        self, best: Fit, selected: tuple[SelectedEffect, ...], earlier: tuple[SelectedEffect, ...]
+        self, best: Fit, selected: tuple[SelectedEffect, ...], *, last_too: bool = False
     ) -> Selection:
-        """Return the machine at its most likely observer, after others took the place of earlier effects and rivals."""
-        current, selected = self._exchange(fit_with_model_error(best, self.data), selected, earlier)
+        """Return the machine at its most likely observer, after others took the place of effects and rivals.
+
+        The last effect has won against all others, but at another observer: a narrower one shows more of what is slow.
+        """
+        current = fit_with_model_error(best, self.data)
+        last_too = last_too or current.bandwidth != best.bandwidth
+        current, selected = self._exchange(current, selected, selected if last_too else selected[:-1])
         if judge.is_worth_comparing_rivals(current.error, self._criteria):
             likely, others = self.settle_rivals(current, selected)
             if likely is not current:

@@ -5,6 +5,7 @@ Nothing is simulated. Fits have the costs that a test gives them, so that a test
 
 from __future__ import annotations
 
+import dataclasses
 from types import SimpleNamespace
 
 import pytest
@@ -183,6 +184,22 @@ def test_after_a_search_with_held_voltages_the_last_effect_may_give_way_as_well(
     scripted.again, scripted.replacement = [fit_with(PUSH, chi2=2.0)], fit_with(DRAG, chi2=1.5)
     data = SimpleNamespace(**{**vars(DATA), "updates_rejected": {rejected: 1}})
     _, effects = scripted.search(data).start_with(fit_with(chi2=6.0), (selected(PUSH),))
+    assert [s.effect for s in effects] == [kept]
+
+
+@pytest.mark.parametrize(("observer", "kept"), [(15.0, DRAG), (60.0, PUSH)])
+def test_at_a_narrower_observer_the_last_effect_may_give_way_as_well(
+    scripted: Scripted, monkeypatch: pytest.MonkeyPatch, observer: float, kept: AppliedEffect
+) -> None:
+    """An eccentric encoder explained more than the eccentric pulley at 60 rad/s, and less at 15 rad/s."""
+    monkeypatch.setattr(
+        forward_selection,
+        "fit_with_model_error",
+        lambda fitted, data: dataclasses.replace(fitted, bandwidth=observer),
+    )
+    scripted.without = {PUSH.label: fit_with(chi2=6.0)}
+    scripted.trials, scripted.replacement = [[fit_with(PUSH, chi2=2.0, bandwidth=60.0)]], fit_with(DRAG, chi2=1.5)
+    _, effects = scripted.search(max_effects=1).run(fit_with(chi2=6.0, bandwidth=60.0))
     assert [s.effect for s in effects] == [kept]
 
 
