@@ -431,5 +431,7 @@ def costs_of_some_left_out(
         step = np.where(tested, fitted - theta, 0.0)
         slope = (hessian @ step)[others]  # theta is the best fit: only the tested parameters move the others
         step[others] = bounded_step(others_free, theta[others], hessian[np.ix_(others, others)], slope)
-        costs.append(left_out.cost + float(2.0 * left_out.gradient @ step + step @ left_out.information @ step))
+        costs.append(
+            left_out.cost + float(2.0 * left_out.gradient @ step + step @ left_out.information @ step)
+        )
     return costs

@@ -329,9 +329,7 @@ def _refitted_cost(
 
     def again(free: Sequence[FreeParameter], theta: Array, machine: Machine, runs: Dataset) -> Fit:
         accurate = _CONVERGED_COST / runs.count
-        return fit(
-            machine, free, runs, fitted.bandwidth, theta=theta, tolerance=accurate, longest_step=step
-        )
+        return fit(machine, free, runs, fitted.bandwidth, theta=theta, tolerance=accurate, longest_step=step)
 
     elsewhere = again(fitted.free, fitted.theta, fitted.machine, others)
     values = {f.name: elsewhere.values[f.name] for f, t in zip(fitted.free, tested, strict=True) if t}

@@ -210,7 +210,9 @@ def test_what_is_left_out_has_the_cost_of_a_fit_to_the_others(names: str) -> Non
     np.testing.assert_allclose(costs_left_out(equations, free, theta0), expected, rtol=1e-9)
 
 
-@pytest.mark.parametrize(("forces", "confirmed"), [((1.0, 1.0, 1.0, 1.0), True), ((4.0, 0.0, 0.0, 0.0), False)])
+@pytest.mark.parametrize(
+    ("forces", "confirmed"), [((1.0, 1.0, 1.0, 1.0), True), ((4.0, 0.0, 0.0, 0.0), False)]
+)
 def test_a_run_that_alone_determines_another_parameter_judges_an_effect_by_it(
     forces: tuple[float, ...], confirmed: bool
 ) -> None:

@@ -198,7 +198,10 @@ def test_at_a_narrower_observer_the_last_effect_may_give_way_as_well(
         lambda fitted, data: dataclasses.replace(fitted, bandwidth=observer),
     )
     scripted.without = {PUSH.label: fit_with(chi2=6.0)}
-    scripted.trials, scripted.replacement = [[fit_with(PUSH, chi2=2.0, bandwidth=60.0)]], fit_with(DRAG, chi2=1.5)
+    scripted.trials, scripted.replacement = (
+        [[fit_with(PUSH, chi2=2.0, bandwidth=60.0)]],
+        fit_with(DRAG, chi2=1.5),
+    )
     _, effects = scripted.search(max_effects=1).run(fit_with(chi2=6.0, bandwidth=60.0))
     assert [s.effect for s in effects] == [kept]
 
