@@ -93,7 +93,8 @@ def starts_from_rest(
     """Yield the starts of a run from a rest without force.
 
     Until the motion has reached its size, the force never changes its sign. The rest has lasted at least as long as
-    that took, so that no slow motion from before passes for a start.
+    that took, so that no slow motion from before passes for a start, and nothing moved the other way since the force
+    began: a wheel that is stopped may spring back.
 
     Args:
         time_s: Times, s, shape (n,).
@@ -120,6 +121,8 @@ def starts_from_rest(
         left = int(np.flatnonzero(np.abs(change[:last]) <= resting)[-1])  # the last row at rest
         disturbed = first + np.flatnonzero(np.abs(change[first:end]) > resting)
         begin = disturbed[-1] + 1 if len(disturbed) else first
+        if np.any(-np.sign(change[last]) * change[end:left] > resting):
+            continue
         long_enough = time_s[measured[-1]] - time_s[begin] >= _MIN_REST
         if long_enough and time_s[left] - time_s[begin] >= time_s[last] - time_s[left]:
             yield Start(float(time_s[left]), bool(np.sign(change[last]) == direction))
