@@ -256,7 +256,8 @@ def _identify_rigs(check_and_identify: _Identification, rigs: list[_Rig], jobs: 
                 errors.append(identified)
                 print(plain_text(f"hframe: {name}: {identified.message}"), file=sys.stderr)
             else:
-                log(f"{name}: {identified.message}; wrote {out} ({done} of {len(rigs)})")
+                log(f"{name}: {identified.message}")
+                log(f"{name}: wrote {out} ({done} of {len(rigs)})")
             progress(done, len(rigs))
 
         progress(0, len(rigs))

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from ..arrays import Array, ParameterRows, Times
 from ..errors import InputError
-from ..machine import Machine, Trajectory, rest_state
+from ..machine import Machine, Trajectory, require_machine, rest_state
 from ..operating_system import cores
 from .codegen.kernel import kernel_for
 from .codegen.machine_code import LANES
@@ -266,6 +266,7 @@ def simulate(
     References:
         Sollmann, Jouaneh and Lavender (2010), eq. 36-44.
     """
+    require_machine(machine)
     grid = np.asarray(time_s, float)
     voltages = np.asarray(inputs, float)
     if grid.ndim == 1 and len(grid) and grid[-1] - grid[0] > MOST_STEPS * longest_step:

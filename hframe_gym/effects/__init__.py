@@ -11,6 +11,7 @@ import pkgutil
 from collections.abc import Mapping
 from types import MappingProxyType
 
+from ..errors import suggestion
 from ..machine import BUILTIN_MACHINES, Effect, Machine
 from ..registry import load_plugins
 from . import smooth_table
@@ -28,7 +29,14 @@ def _library() -> dict[str, Effect]:
     return {e.name: e for e in (importlib.import_module(f"{__name__}.{m}").EFFECT for m in modules)}
 
 
-_REGISTERED: dict[str, Effect] = _library()
+class _Effects(dict[str, Effect]):
+    """Definitions by name; the error of an unknown name says which one is meant."""
+
+    def __missing__(self, name: str) -> Effect:
+        raise KeyError(f"effect {name!r} is unknown{suggestion(name, self)}")
+
+
+_REGISTERED = _Effects(_library())
 
 #: Definitions by name: the library, and what `register_effect` added.
 EFFECTS: Mapping[str, Effect] = MappingProxyType(_REGISTERED)

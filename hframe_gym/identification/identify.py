@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -22,7 +22,7 @@ from ..preparation.dataset import Dataset, runs_that_should_move
 from ..preparation.division import copied_runs, divide_runs, moving_runs
 from ..preparation.excerpt import representative_part
 from ..preparation.session import Session, prepare_session
-from ..recordings import Recording
+from ..recordings import Recording, load_machine
 from ..registry import load_plugins
 from .budget import COMPARISON_PART, DEFAULT_SECONDS, LAST_STAGE_END, Budget, BudgetEndedError
 from .evidence.tried_effects import Log
@@ -44,7 +44,7 @@ _SILENT = (
 @single_threaded_linear_algebra()  # the result depends on no number of threads
 def identify(
     recordings: Sequence[Recording],
-    machine: Machine,
+    machine: Machine | str | Path,
     *,
     held_out: Sequence[str] = (),
     criteria: SelectionCriteria | None = None,
@@ -58,7 +58,7 @@ def identify(
 
     Args:
         recordings: Runs of one rig, at least two.
-        machine: Machine as declared.
+        machine: Machine as declared, or its name or file (`load_machine`).
         held_out: Names of the runs to evaluate on. Default: one of each four similar runs, see `hold_out`.
         criteria: Decision thresholds. Default: `SelectionCriteria()`.
         log: Called with a line of text after each part of the work. Default: nothing is reported.
@@ -73,13 +73,11 @@ def identify(
 
     Raises:
         InputError: If the runs cannot be divided into fitted and held-out ones, a held-out name is unknown, a run has
-            fewer than 20 rows, no sensor moves in the fitted runs, or `recordings` is a path.
+            fewer than 20 rows, no sensor moves in the fitted runs, or an argument is of another type.
     """
     began = time.perf_counter()
-    if isinstance(recordings, str | Path):
-        raise InputError(
-            f"identify needs recordings, not a path; call load_recordings({str(recordings)!r}, machine)"
-        )
+    _require_types(recordings, held_out, criteria, budget)
+    machine = load_machine(machine)
     load_plugins()  # the search tries their effects as well
     criteria, log = criteria or SelectionCriteria(), log or (lambda line: None)
     recordings = sorted(recordings, key=lambda recording: recording.name)  # no other order changes the result
@@ -129,6 +127,22 @@ def identify(
     for s in (s for s in result.effects if s.rivals):
         log(f"these runs cannot distinguish {s.effect.label} from {', '.join(s.rivals)}")
     return dataclasses.replace(result, seconds=time.perf_counter() - began)
+
+
+def _require_types(recordings: object, held_out: object, criteria: object, budget: object) -> None:
+    """Raise an InputError that says what to give in place of an argument of another type."""
+    if isinstance(recordings, str | Path):
+        raise InputError(
+            f"identify needs recordings, not a path; call load_recordings({str(recordings)!r}, machine)"
+        )
+    if not isinstance(recordings, Collection) or not recordings:
+        raise InputError("identify needs a list of two or more recordings, such as that of load_recordings")
+    if isinstance(held_out, str):
+        raise InputError(f"held_out is {held_out!r}; give a list of names: [{held_out!r}]")
+    if not isinstance(criteria, SelectionCriteria | None):
+        raise InputError(f"criteria is {criteria!r}; give SelectionCriteria(NAME=VALUE, ...)")
+    if isinstance(budget, str):
+        raise InputError(f"budget is {budget!r}; give seconds of processor time, or math.inf")
 
 
 def _budget(budget: float | Budget | None, recordings: Sequence[Recording], log: Log) -> Budget:

@@ -23,7 +23,7 @@ from .diagram import draw_machine
 from .drive_kinds import DRIVE_KINDS, DriveKind, DriveLaw
 from .effect import HOOKS, AppliedEffect, Effect, EffectParameter, Hook, argument_names
 from .error_propagation import standard_deviations
-from .machine import Contact, Machine
+from .machine import Contact, Machine, require_machine
 from .motion import (
     MotionLimits,
     carried_through_contacts,
@@ -112,6 +112,7 @@ __all__ = [
     "observed_coordinates",
     "position_of_point",
     "pulley_names",
+    "require_machine",
     "rest_positions_per_axis",
     "rest_state",
     "rigid_counterpart",

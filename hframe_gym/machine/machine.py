@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -410,7 +410,8 @@ class Machine:
         values = values or {}
         unknown = sorted(set(values) - set(self.parameters) - set(self.device_parameters))
         if unknown:
-            raise KeyError(f"machine {self.name!r} has no parameter {', '.join(unknown)}")
+            meant = suggestion(unknown[0], (*self.parameters, *self.device_parameters))
+            raise KeyError(f"machine {self.name!r} has no parameter {', '.join(unknown)}{meant}")
         values = self.with_tied(values)
         changed = {name.rpartition(".")[0] for name in values}
 
@@ -429,22 +430,53 @@ class Machine:
         Args:
             *components: Coordinates, belts, drives and sensors, in any order.
             ties: Ties to add to those of the machine (`ties`).
+
+        Raises:
+            InputError: If one of these components names a coordinate, drive or belt that the machine does not have.
         """
         new: dict[str, Any] = {}
         for kind, name in _COMPONENTS.items():
             given = {c.label: c for c in components if isinstance(c, kind)}
             kept = [given.pop(part.label, part) for part in getattr(self, name)]
             new[name] = (*kept, *given.values())
-        return dataclasses.replace(self, ties={**self.ties, **(ties or {})}, **new)
+        machine = dataclasses.replace(self, ties={**self.ties, **(ties or {})}, **new)
+        for component in components:
+            machine._check_references(component)
+        return machine
+
+    def _check_references(self, component: Component) -> None:
+        """Raise an InputError if a component names another one that the machine does not have."""
+        find: Callable[[str], Component] = self.coordinate
+        names = list[str]()
+        if isinstance(component, Drive):
+            names = [component.coordinate]
+        elif isinstance(component, Belt):
+            names = list(component.extension)
+        elif isinstance(component, Sensor):
+            find = {"coordinate": self.coordinate, "drive": self.drive, "belt": self.belt}[
+                component.sensed.component
+            ]
+            names = [factor for key in component.row for factor in key.split("*")]
+        for name in names:
+            try:
+                find(name)
+            except InputError as error:
+                raise InputError(f"{type(component).__name__} {component.label!r}: {error}") from None
 
     def with_effects(self, *effects: AppliedEffect) -> Machine:
         """Return a copy with additional effects, each at its site; some also add components (`Effect.structure`).
 
         Raises:
-            ValueError: If the machine lacks the site of an effect or components that it needs, or has it there already.
+            ValueError: If the machine lacks the site of an effect or components that it needs, or has it there already;
+                an InputError if it is not an effect at a site.
         """
         machine = self
         for effect in effects:
+            if not isinstance(effect, AppliedEffect):
+                name = getattr(effect, "name", effect)
+                raise InputError(
+                    f"with_effects needs an effect at a site: EFFECTS[{name!r}].at(SITE, NAME=VALUE, ...)"
+                )
             effect.check_site(machine)
             definition = effect.definition
             if definition.structure and definition.fits and not definition.fits(machine):
@@ -474,6 +506,12 @@ class Machine:
         if "default" not in SIMULATORS:
             raise RuntimeError("no simulator is registered; import hframe_gym before Machine.simulate")
         return SIMULATORS.get("default")(self, time_s, inputs, initial)
+
+
+def require_machine(machine: object) -> None:
+    """Raise an InputError if an argument is no machine, such as the name or the file of one."""
+    if not isinstance(machine, Machine):
+        raise InputError(f"machine is {machine!r}; give a Machine, such as that of load_machine('hframe')")
 
 
 def _with_values(part: Component | AppliedEffect, values: Mapping[str, float]) -> Any:

@@ -17,6 +17,7 @@ from ..arrays import Array
 from ..errors import InputError
 from ..files import atomic_file
 from ..machine import DRIVE_KINDS, Drive, Machine, Trajectory
+from .machine_file import load_machine
 from .quantities import split_unit
 from .tables.table_file import (
     SUFFIXES,
@@ -62,7 +63,7 @@ class Recording:
 
 def load_recordings(
     folder: str | Path,
-    machine: Machine,
+    machine: Machine | str | Path,
     progress: Callable[[int, int], None] | None = None,
     *,
     max_rows: int | None = None,
@@ -73,7 +74,7 @@ def load_recordings(
     Args:
         folder: Folder of the runs; files with other endings than .csv, .csv.gz and .parquet, and hidden files, are
             ignored.
-        machine: Machine that was recorded; its channels name the columns.
+        machine: Machine that was recorded, or its name or file (`load_machine`); its channels name the columns.
         progress: Called with the number of bytes read so far and the total number.
         max_rows: Largest number of rows of all runs together, divided evenly among the runs: of each run, the first
             max_rows / number of runs rows are used, but at least 20,000. Default: all rows are used.
@@ -86,7 +87,7 @@ def load_recordings(
         InputError: If the folder does not exist or has no recordings, two files are the same run (`a.csv`,
             `a.parquet`), or a file is invalid.
     """
-    path = Path(folder)
+    machine, path = load_machine(machine), Path(folder)
     if not path.is_dir():
         advice = f"is a file, give the folder of runs; a log becomes runs with {import_command(path)}"
         raise InputError(f"{path}: {advice if path.exists() else 'no such folder'}")
@@ -116,7 +117,7 @@ def load_recordings(
 
 def load_recording(
     path: str | Path,
-    machine: Machine,
+    machine: Machine | str | Path,
     *,
     outputs_needed: bool = True,
     progress: Progress | None = None,
@@ -125,6 +126,7 @@ def load_recording(
     """Load and check one recording: the voltages and measurements of one run of a machine.
 
     Args:
+        machine: Machine that was recorded, or its name or file (`load_machine`).
         outputs_needed: Whether the file must have output columns. False also accepts voltages alone; the outputs are
             then NaN.
         progress: Called with the number of bytes read since the last call.
@@ -135,7 +137,7 @@ def load_recording(
             or infinite, all outputs are empty, times do not increase, a gap exceeds 600 s or the run a day, or a
             channel is in a wrong unit. The message names the file, and row and column where there is one.
     """
-    path = Path(path)
+    machine, path = load_machine(machine), Path(path)
     try:
         header, columns = read_table(path, progress, max_rows)
     except ForeignFormatError as error:

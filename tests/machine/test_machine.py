@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,9 +15,14 @@ from hframe_gym.machine import (
     BUILTIN_MACHINES,
     SENSOR_KINDS,
     SIMULATORS,
+    Belt,
+    Component,
+    Coordinate,
+    Drive,
     Machine,
     Sensor,
     observed_coordinates,
+    require_machine,
 )
 from hframe_gym.registry import Registry
 
@@ -69,6 +75,57 @@ def test_an_unknown_component_is_refused_with_the_names_of_the_others(
 ) -> None:
     with pytest.raises(InputError, match=message):
         getattr(hframe, kind)(name)
+
+
+@pytest.mark.parametrize(
+    ("component", "message"),
+    [
+        (Sensor("z_m", {"z": 1.0}), "Sensor 'z_m': .* no coordinate 'z'"),
+        (Sensor("twist_m", {"x*yaw": 1.0, "x": 1.0}), "Sensor 'twist_m': .* no coordinate 'yaw'"),
+        (
+            Sensor("i_A", {"x": 1.0}, kind="current"),
+            "Sensor 'i_A': .* no drive 'x'; choose one of motor1, motor2",
+        ),
+        (Sensor("top_N", {"top": 1.0}, kind="belt-force"), "Sensor 'top_N': .* no belt 'top'"),
+        (
+            Sensor("x2_m", {"x": 1.0}, kind="lasser"),
+            "sensor kind 'lasser' is unknown; .* did you mean 'laser'",
+        ),
+        (Belt("top", 1e4, 1.0, {"phi": 1.0}), "Belt 'top': .* no coordinate 'phi'"),
+        (
+            Drive("motor3", "v3_V", "phi3", 0.02, 0.02, 0.7, 5.9, 12.0),
+            "Drive 'motor3': .* did you mean 'phi2'",
+        ),
+    ],
+)
+def test_a_component_that_names_what_the_machine_lacks_is_refused(
+    hframe: Machine, component: Component, message: str
+) -> None:
+    """It had failed in the first simulation, as a KeyError or "x not in tuple"."""
+    with pytest.raises(InputError, match=message):
+        hframe.with_components(component)
+
+
+def test_components_that_are_added_together_may_name_each_other(hframe: Machine) -> None:
+    added = hframe.with_components(Sensor("z_m", {"z": 1.0}), Coordinate("z", 1.0))
+    assert added.sensor("z_m").coordinate == "z"
+
+
+@pytest.mark.parametrize("effect", [EFFECTS["constant_force"], "constant_force"])
+def test_a_definition_is_no_effect_at_a_site(hframe: Machine, effect: Any) -> None:
+    with pytest.raises(InputError, match=r"EFFECTS\['constant_force'\]\.at\(SITE"):
+        hframe.with_effects(effect)
+
+
+@pytest.mark.parametrize("name", ["hframe", "machine.json", None])
+def test_a_name_is_no_machine(name: Any) -> None:
+    with pytest.raises(InputError, match=f"machine is {name!r}; give a Machine"):
+        require_machine(name)
+
+
+def test_an_unknown_effect_is_answered_with_the_one_that_is_meant() -> None:
+    with pytest.raises(KeyError, match="did you mean 'cogging'"):
+        EFFECTS["coging"]
 
 
 def test_a_machine_without_belts_says_so() -> None:

@@ -182,6 +182,7 @@ def test_a_folder_is_read_in_the_order_of_file_names(
     write_run("a.csv")
     (tmp_path / "notes.txt").write_text("not a run")
     assert [r.name for r in load_recordings(tmp_path, hframe)] == ["a", "b"]
+    assert [r.name for r in load_recordings(tmp_path, "hframe")] == ["a", "b"]
     with pytest.raises(InputError, match="no such folder"):
         load_recordings(tmp_path / "none", hframe)
     with pytest.raises(InputError, match="is a file, give the folder"):

@@ -13,7 +13,7 @@ from pydantic import ValidationError
 
 from ...errors import InputError, suggestion
 from ...files import read_document, write_text
-from ...machine import BUILTIN_MACHINES, Component, Machine, Number, Plain
+from ...machine import BUILTIN_MACHINES, Component, Machine, Number, Plain, require_machine
 from .reader import MachineReader
 from .schema import COMPONENTS, SCHEMA_VERSION, MachineFile, QuantityEntry, Table, field_units, fields
 
@@ -67,8 +67,10 @@ def save_machine(machine: Machine, path: str | Path) -> None:
         path: Path of the file; a missing folder is created, an existing file is replaced.
 
     Raises:
+        InputError: If `machine` is no machine.
         OSError: If the file cannot be written.
     """
+    require_machine(machine)
     write_text(path, json.dumps(machine_to_dict(machine), indent=1) + "\n")
 
 
