@@ -40,7 +40,6 @@ _LARGEST_DUTY = 1.05  # the noise of a measured duty cycle may exceed 1
 LONGEST_GAP = 600.0  # s
 LONGEST_RUN = 86_400.0  # s
 MOST_LOST_ROWS = 20_000_000  # rows that `fill_gaps` may insert, 1 GB
-_MACHINE_QUESTION = "Is this the machine of the recordings (--machine)?"
 
 
 @dataclass(frozen=True)
@@ -297,6 +296,13 @@ def run_name(path: Path) -> str:
     return path.name
 
 
+def _machine_question(path: Path) -> str:
+    """Return the question whether the right machine was named, with the machine file beside a run or its folder."""
+    files = [file for folder in path.parents[:2] if (file := folder / "machine.json").is_file()]
+    beside = f"; {files[0]} lies beside them" if files else ""
+    return f"Is this the machine of the recordings (--machine{beside})?"
+
+
 def _check_header(path: Path, header: list[str], machine: Machine, *, outputs_needed: bool) -> None:
     """Refuse a header with unknown, repeated or missing columns."""
     expected = ["time_s", *machine.input_channels, *machine.output_channels]
@@ -311,7 +317,9 @@ def _check_header(path: Path, header: list[str], machine: Machine, *, outputs_ne
         if unit and wanted and unit != split_unit(wanted[0])[1]:
             wrong = f"is in {UNIT_WORDS.get(unit, unit)}; recordings have {wanted[0]}"
             raise InputError(f"{path}, column {name}: {wrong}. Convert it: {import_command(path)}")
-        advice = f"{_MACHINE_QUESTION} If it is, rename the column or leave it out: {import_command(path)}"
+        advice = (
+            f"{_machine_question(path)} If it is, rename the column or leave it out: {import_command(path)}"
+        )
         raise InputError(f"{path}, column {name}: unknown; {channels}. {advice}")
     missing = [name for name in expected if name not in header]
     if not outputs_needed and not set(header) & set(machine.output_channels):
@@ -319,7 +327,7 @@ def _check_header(path: Path, header: list[str], machine: Machine, *, outputs_ne
     if missing:
         advice = f"; a channel that was not measured is an empty column, which {import_command(path)} adds"
         if missing[0] not in machine.output_channels:
-            advice = f"; {channels}. {_MACHINE_QUESTION} If it is, the column must be recorded"
+            advice = f"; {channels}. {_machine_question(path)} If it is, the column must be recorded"
         raise InputError(f"{path}, column {missing[0]}: missing (the header has {', '.join(header)}){advice}")
     if header[0] != "time_s":
         raise InputError(f"{path}, column {header[0]}: the first column must be time_s")

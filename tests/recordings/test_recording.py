@@ -115,6 +115,17 @@ def test_a_header_with_unknown_repeated_or_misplaced_columns_is_refused(
         load_recording(write_run(header=header), hframe)
 
 
+@pytest.mark.parametrize("place", [".", ".."])
+def test_a_machine_file_beside_the_runs_is_pointed_out(place: str, tmp_path: Path, hframe: Machine) -> None:
+    """The command had used the H-frame, without a word of the file."""
+    runs = tmp_path / "runs"
+    runs.mkdir()
+    (runs / "a.csv").write_text("time_s,v_V,x_m\n0,0,0\n0.001,1,1\n")
+    (runs / place / "machine.json").write_text("{}")
+    with pytest.raises(InputError, match=r"\(--machine; .*machine\.json lies beside them\)\?"):
+        load_recording(runs / "a.csv", hframe)
+
+
 def test_a_missing_column_is_refused_but_voltages_alone_can_be_simulated(
     tmp_path: Path, hframe: Machine
 ) -> None:

@@ -60,7 +60,7 @@ def compile_lanes(text: str, formulas: Mapping[str, Callable[..., Any]], lanes: 
     """Compile the functions of a source text.
 
     Args:
-        text: Python source of functions in the subset above; imports in it are for readers and ignored.
+        text: Python source of functions in the subset that this module describes; imports in it are ignored.
         formulas: Python functions that the text calls, by name; they are inlined and may call each other.
 
     Returns:

@@ -240,7 +240,7 @@ class InitialStateProjection:
 
 
 def probable_amounts(residual: Array, displaced: Array) -> Array:
-    """Return by how much of each displacement of the start a run most probably began elsewhere, as a fit assumes.
+    """Return how far along each displacement of its start a run most probably began, as a fit assumes.
 
     Args:
         residual: Residual of the prediction from the state as it is, in units of the noise, shape (rows,).

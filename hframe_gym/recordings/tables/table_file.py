@@ -98,8 +98,8 @@ def cell_text(path: Path, name: str, column: Array, row: int) -> str:
         row: Index of the row, from 0.
 
     Returns:
-        Text such as "run.csv, row 3, column x_m: 25", with rows from 1. For an empty cell it ends with the word "value"
-        in place of the number, so that messages read "...: value is empty".
+        Text such as "run.csv, row 3, column x_m: 25", with rows from 1, or "run.csv, row 3, column x_m: value" for an
+        empty cell, so that " is empty" can follow.
     """
     value = "value" if np.isnan(column[row]) else f"{column[row]:g}"
     return f"{path}, row {row + 1}, column {name}: {value}"
