@@ -126,19 +126,19 @@ class NormalEquations:
             response_gradient=gradient + information,
         )
 
-    def of_some(self, parameters: NDArray[np.bool_], responses: slice) -> NormalEquations:
+    def of_some(self, parameters: NDArray[np.bool_], responses: NDArray[np.intp]) -> NormalEquations:
         """Return the normal equations of some of the parameters and perturbations; the others are held.
 
         Args:
             parameters: True for those parameters, shape (k,).
-            responses: Indices of those perturbations.
+            responses: Indices of those perturbations, in their new order, shape (m,).
         """
         return dataclasses.replace(
             self,
             information=self.information[np.ix_(parameters, parameters)],
             gradient=self.gradient[parameters],
-            cross_products=self.cross_products[parameters, responses],
-            response_information=self.response_information[responses, responses],
+            cross_products=self.cross_products[np.ix_(parameters, responses)],
+            response_information=self.response_information[np.ix_(responses, responses)],
             response_gradient=self.response_gradient[responses],
         )
 

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...arrays import Array
 from ...dynamics import Equations
@@ -75,6 +76,18 @@ class ScoredCandidate(NamedTuple):
     amounts: tuple[float, ...]
 
 
+class Resemblance(NamedTuple):
+    """An effect that moves the machine in the recorded runs nearly as another one does.
+
+    Attributes:
+        effect: The effect, with the parameters with which it resembles the other one most.
+        loss: Increase of chi-squared if it takes the place of the other one, to first order.
+    """
+
+    effect: AppliedEffect
+    loss: float
+
+
 @dataclass(frozen=True)
 class Screening:
     """Candidates of a fitted machine, beside the linearized residual that ranks them.
@@ -87,19 +100,27 @@ class Screening:
         data: Runs that were fitted.
         candidates: Effects, sites (components) and starting values to compare.
         removed: Labels (name@site) of effects of the machine that may be removed.
-        equations: Products of the residual. Its perturbations are the removal of each of these effects, in a machine
-            that is otherwise the same, then the basis functions of the candidates.
+        compared: Labels of effects of the machine that the candidates may resemble.
+        equations: Products of the residual. Its perturbations are the removal of each effect in `removed`, in a machine
+            that is otherwise the same, then each effect in `compared`, then the basis functions of the candidates.
     """
 
     fit: Fit
     data: Dataset
     candidates: Sequence[Candidate]
     removed: tuple[str, ...]
+    compared: tuple[str, ...]
     equations: NormalEquations
 
     @classmethod
     def of(
-        cls, fit: Fit, candidates: Sequence[Candidate], data: Dataset, without: Mapping[str, Machine]
+        cls,
+        fit: Fit,
+        candidates: Sequence[Candidate],
+        data: Dataset,
+        *,
+        without: Mapping[str, Machine] | None = None,
+        compared: Sequence[Candidate] = (),
     ) -> Screening:
         """Linearize the residual of a fit.
 
@@ -107,10 +128,17 @@ class Screening:
             fit: Fit of the machine without the candidates.
             candidates: Candidates, at least one.
             data: Runs that were fitted.
-            without: By the label of an effect, the fitted machine without it.
+            without: By the label of an effect, the fitted machine without it. Default: none.
+            compared: Effects that the candidates may resemble, each with its parameters as the only column; they
+                neither add coordinates nor replace dry friction.
         """
-        model, may_go_on = _screening_model(fit, data), spender()
-        perturbed = perturbed_machines(model.machine, candidates)
+        model, may_go_on, without = _screening_model(fit, data), spender(), without or {}
+        own = [
+            machine._replace(step=_difference_step(effect))
+            for effect in compared
+            for machine in perturbed_machines(model.machine, [effect])
+        ]
+        perturbed = [*own, *perturbed_machines(model.machine, candidates)]
 
         def responses(run: PreparedRecording, motion: Motion) -> Array:
             may_go_on()
@@ -119,7 +147,8 @@ class Screening:
             return np.vstack([*of_removals, _responses(model, perturbed, run, motion)])
 
         equations = model.linearize(fit.theta, responses).normal_equations
-        return cls(fit, data, candidates, tuple(without), equations)
+        labels = tuple(effect.label for effect in compared)
+        return cls(fit, data, candidates, tuple(without), labels, equations)
 
     def ranked(self) -> list[ScoredCandidate]:
         """Rank the candidates by the reduction of chi-squared that the linearized model predicts, if they are added.
@@ -144,36 +173,86 @@ class Screening:
         equations = self.equations.with_added(self.removed.index(label))
         if not math.isfinite(equations.cost):
             return [], math.inf
-        free = tuple(f for f in self.fit.free if not f.name.startswith(f"{label}."))
+        free = self._free_without(label)
         ranked, least_cost = self._ranked(equations, free)
-        others = [
-            scored
-            for scored in ranked
-            if f"{scored.candidate.effect.requires}@{scored.candidate.site}" != label
-        ]
+        others = [scored for scored in ranked if not _needs(scored.candidate, label)]
         return others, least_cost - self.equations.cost
+
+    def resembling(self, label: str) -> list[Resemblance]:
+        """Find the candidates that these runs hardly distinguish from one of the compared effects.
+
+        What the effect changes in the predictions is a regressor over the recorded motion, as is every basis function
+        of the candidates; what the machine's free parameters can reproduce of them is removed. The part of the effect's
+        regressor that a candidate's cannot represent is what the runs show of the difference between both. In a single
+        sine, for example, position and speed are one variable, at constant speed position and time are.
+
+        Args:
+            label: Label of the effect.
+
+        Returns:
+            Each candidate effect and site once, without those that need the effect; the most similar one first.
+        """
+        own = len(self.removed) + self.compared.index(label)
+        free = self._free_without(label)
+        equations = self.equations.of_some(self._kept(free), np.array([own, *self._of_candidates()]))
+        ridge = np.diag(_RIDGE * np.diag(equations.information))
+        products = equations.eliminate_parameters(prior_precision(free) + ridge).response_information
+        size, found = float(products[0, 0]), dict[str, Resemblance]()
+        for candidate, columns in self._with_columns(1):
+            if _needs(candidate, label):
+                continue
+            information = products[np.ix_(columns, columns)]
+            before = np.diag(equations.response_information)[columns]
+            if not np.all(np.isfinite(information)) or not np.any(np.diag(information) > _MIMICKED * before):
+                continue
+            # The gradient of the cost of representing the effect's regressor, as for the residual.
+            scored = _score(candidate, information, -products[columns, 0], before, 1.0)
+            loss = max(size - scored.gain, 0.0)
+            known = found.get(candidate.label)
+            if scored.gain > 0.0 and (known is None or loss < known.loss):
+                found[candidate.label] = Resemblance(candidate.applied(scored.amounts), loss)
+        return sorted(found.values(), key=lambda resemblance: resemblance.loss)
 
     def _ranked(
         self, equations: NormalEquations, free: Sequence[FreeParameter]
     ) -> tuple[list[ScoredCandidate], float]:
         """Return the ranked candidates, and the cost without any, where only some parameters are free."""
-        names = {f.name for f in free}
-        kept = np.array([f.name in names for f in self.fit.free], bool)
-        equations = equations.of_some(kept, slice(len(self.removed), None))
+        equations = equations.of_some(self._kept(free), self._of_candidates())
         # The ridge keeps the elimination possible where parameters have the same influence on the measurements.
         precision = prior_precision(free) + np.diag(_RIDGE * np.diag(equations.information))
         reduced = equations.eliminate_parameters(precision)
-        scored, first = [], 0
-        for candidate in self.candidates:
-            # of this candidate, among all perturbations
-            columns = np.arange(first, first + len(candidate.columns))
-            first += len(columns)
+        scored = []
+        for candidate, columns in self._with_columns(0):
             # Square of each response before and after the free parameters took what they can reproduce of it.
             before = equations.response_information[columns, columns]
             information = reduced.response_information[np.ix_(columns, columns)]
             gradient = reduced.response_gradient[columns]
             scored.append(_score(candidate, information, gradient, before, self.fit.chi2))
         return sorted(scored, key=lambda s: -s.gain), equations.least_cost(precision)
+
+    def _free_without(self, label: str) -> tuple[FreeParameter, ...]:
+        """Return the free parameters without those of an effect."""
+        return tuple(f for f in self.fit.free if not f.name.startswith(f"{label}."))
+
+    def _kept(self, free: Sequence[FreeParameter]) -> NDArray[np.bool_]:
+        """Return which of the fit's parameters are free, shape (k,)."""
+        names = {f.name for f in free}
+        return np.array([f.name in names for f in self.fit.free], bool)
+
+    def _of_candidates(self) -> NDArray[np.intp]:
+        """Return the indices of the candidates' basis functions among the perturbations."""
+        return np.arange(len(self.removed) + len(self.compared), len(self.equations.response_gradient))
+
+    def _with_columns(self, first: int) -> Iterator[tuple[Candidate, NDArray[np.intp]]]:
+        """Yield each candidate with the indices of its basis functions, which begin at the first."""
+        for candidate in self.candidates:
+            yield candidate, np.arange(first, first + len(candidate.columns))
+            first += len(candidate.columns)
+
+
+def _needs(candidate: Candidate, label: str) -> bool:
+    """Return whether a candidate requires the effect so labeled."""
+    return f"{candidate.effect.requires}@{candidate.site}" == label
 
 
 def screen(fit: Fit, candidates: Sequence[Candidate], data: Dataset) -> list[ScoredCandidate]:
@@ -187,68 +266,7 @@ def screen(fit: Fit, candidates: Sequence[Candidate], data: Dataset) -> list[Sco
     Returns:
         The candidates in the order of `Screening.ranked`.
     """
-    return Screening.of(fit, candidates, data, {}).ranked() if candidates else []
-
-
-class Resemblance(NamedTuple):
-    """An effect that moves the machine in the recorded runs nearly as another one does.
-
-    Attributes:
-        effect: The effect, with the parameters with which it resembles the other one most.
-        loss: Increase of chi-squared if it takes the place of the other one, to first order.
-    """
-
-    effect: AppliedEffect
-    loss: float
-
-
-def resemblances(
-    fit: Fit, own: Candidate, candidates: Sequence[Candidate], data: Dataset
-) -> list[Resemblance]:
-    """Find the candidates that these runs hardly distinguish from an effect.
-
-    What the effect changes in the predictions is a regressor over the recorded motion, as is every basis function of
-    the candidates; what the machine's free parameters can reproduce of them is removed. The part of the effect's
-    regressor that a candidate's cannot represent is what the runs show of the difference between both. In a single
-    sine, for example, position and speed are one variable, at constant speed position and time are.
-
-    Args:
-        fit: Fit of the machine with all other effects, without this one.
-        own: The effect with its fitted parameters as the only column; it neither adds coordinates nor replaces dry
-            friction.
-        candidates: Other effects with their sites and starting values.
-        data: Runs that were fitted.
-
-    Returns:
-        Each candidate effect and site once, those that resemble the effect most first.
-    """
-    model, may_go_on = _screening_model(fit, data), spender()
-    (of_own,) = perturbed_machines(model.machine, [own])
-    of_own = of_own._replace(step=_difference_step(own))
-    perturbed = [of_own, *perturbed_machines(model.machine, candidates)]
-
-    def responses(run: PreparedRecording, motion: Motion) -> Array:
-        may_go_on()
-        return _responses(model, perturbed, run, motion)
-
-    equations = model.linearize(fit.theta, responses).normal_equations
-    ridge = np.diag(_RIDGE * np.diag(equations.information))
-    products = equations.eliminate_parameters(prior_precision(fit.free) + ridge).response_information
-    size, found, first = float(products[0, 0]), dict[str, Resemblance](), 1
-    for candidate in candidates:
-        columns = np.arange(first, first + len(candidate.columns))
-        first += len(columns)
-        information = products[np.ix_(columns, columns)]
-        before = np.diag(equations.response_information)[columns]
-        if not np.all(np.isfinite(information)) or not np.any(np.diag(information) > _MIMICKED * before):
-            continue
-        # The gradient of the cost of representing the effect's regressor, as for the residual.
-        scored = _score(candidate, information, -products[columns, 0], before, 1.0)
-        loss = max(size - scored.gain, 0.0)
-        known = found.get(candidate.label)
-        if scored.gain > 0.0 and (known is None or loss < known.loss):
-            found[candidate.label] = Resemblance(candidate.applied(scored.amounts), loss)
-    return sorted(found.values(), key=lambda resemblance: resemblance.loss)
+    return Screening.of(fit, candidates, data).ranked() if candidates else []
 
 
 class PerturbedMachine(NamedTuple):

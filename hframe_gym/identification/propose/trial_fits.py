@@ -28,7 +28,7 @@ from ..judge.error import FitError
 from ..predict.free_parameters import FreeParameter, default_free_parameters, values_at
 from ..predict.prediction import POLISH_STEP, SEARCH_BANDWIDTH, SIMULATION
 from .candidates import Candidate, SearchState, candidates, effect_parameters, is_required
-from .screening import ScoredCandidate, Screening, resemblances, screen_structures
+from .screening import Resemblance, ScoredCandidate, Screening, screen_structures
 
 # Effects that are fitted in place of a selected one because these runs may not distinguish them.
 _RESEMBLING = 3
@@ -43,11 +43,18 @@ class ScreenedFit(NamedTuple):
 
     Attributes:
         scales: Typical sizes on the machine.
-        screening: Fit, data, candidates, and the effects that may be replaced.
+        screening: Fit, data, candidates, the effects that may be replaced and those that candidates may resemble.
     """
 
     scales: TypicalScales
     screening: Screening
+
+    def describes(self, fitted: Fit) -> bool:
+        """Return whether a fit has the same effects and observer: a refined one resembles the same candidates."""
+        screened = self.screening.fit
+        return screened.bandwidth == fitted.bandwidth and [e.label for e in screened.machine.effects] == [
+            e.label for e in fitted.machine.effects
+        ]
 
 
 def screened_fit(current: Fit, data: Dataset, without: Mapping[str, Machine] | None = None) -> ScreenedFit:
@@ -66,7 +73,21 @@ def screened_fit(current: Fit, data: Dataset, without: Mapping[str, Machine] | N
     if current.bandwidth == SIMULATION:
         proposed = [c for c in proposed if c.effect.site != "drive" or c.effect.initial_spread is None]
     spend(f"screening {len({c.label for c in proposed})} effects at their components ({current.mode})")
-    return ScreenedFit(state.scales, Screening.of(current, proposed, data, without or {}))
+    compared = [_itself(e, state) for e in current.machine.effects if _is_comparable(e, current.machine)]
+    return ScreenedFit(
+        state.scales, Screening.of(current, proposed, data, without=without, compared=compared)
+    )
+
+
+def _is_comparable(effect: AppliedEffect, machine: Machine) -> bool:
+    """Return whether others may take the place of an effect, to first order: nothing depends on its presence."""
+    return not effect.definition.replaces_model_part and not is_required(machine, effect.label)
+
+
+def _itself(effect: AppliedEffect, state: SearchState) -> Candidate:
+    """Return an effect with its parameters as a candidate."""
+    sizes = state.sizes(effect.definition, effect.site)
+    return Candidate(effect.definition, effect.site, (dict(effect.parameters),), sizes)
 
 
 def trial_fits(
@@ -188,36 +209,51 @@ def best_error(trials: list[Fit]) -> FitError | None:
     return min(trials, key=lambda trial: trial.cost).error if trials else None
 
 
-def indistinguishable(
-    current: Fit, effect: AppliedEffect, largest_loss: float, data: Dataset
-) -> list[AppliedEffect]:
+def indistinguishable(screened: ScreenedFit, label: str, largest_loss: float) -> list[AppliedEffect]:
     """Return the effects that may take the place of an effect of the machine, as far as these runs show.
 
     Args:
-        current: Fit of the machine with all effects.
-        effect: One of them. There is no answer for an effect that adds coordinates or replaces dry friction, or that
-            another effect requires.
+        screened: Fit of the machine with all effects, and its candidates.
+        label: Label of one of the effects. There is no answer for an effect that adds coordinates or replaces dry
+            friction, or that another effect requires.
         largest_loss: Increase of chi-squared, dimensionless, to first order, up to which the runs do not distinguish
             effects.
 
     Returns:
         Other effects with the parameters that resemble it most, at most three, the most similar one first.
     """
-    if effect.definition.replaces_model_part or is_required(current.machine, effect.label):
+    screening = screened.screening
+    if label not in screening.compared:
         return []
-    machine = current.machine.replace(
-        effects=tuple(e for e in current.machine.effects if e.label != effect.label)
-    )
-    kept = [f.name in machine.parameters for f in current.free]
-    free, theta = tuple(itertools.compress(current.free, kept)), current.theta[kept]
-    without = dataclasses.replace(current, machine=machine, free=free, theta=theta)
-    state = SearchState.of(without, data)
-    others = [c for c in candidates(state) if c.label != effect.label]
-    spend(f"comparing {effect.label} with {len({c.label for c in others})} other effects")
-    sizes = state.sizes(effect.definition, effect.site)
-    own = Candidate(effect.definition, effect.site, (dict(effect.parameters),), sizes)
-    found = resemblances(without, own, others, data)
-    return [each.effect for each in found if each.loss <= largest_loss][:_RESEMBLING]
+    found: dict[str, Resemblance] = {}
+    for each in (*screening.resembling(label), *_periodic_resemblances(screening, label)):
+        known = found.get(each.effect.label)
+        if each.loss <= largest_loss and (known is None or each.loss < known.loss):
+            found[each.effect.label] = each
+    nearest = sorted(found.values(), key=lambda each: each.loss)
+    return [each.effect for each in nearest[:_RESEMBLING]]
+
+
+def _periodic_resemblances(screening: Screening, label: str) -> list[Resemblance]:
+    """Return the periodic effects that resemble an effect, with the periods that the motion shows without it."""
+    fitted, data = screening.fit, screening.data
+    effects = {e.label: e for e in fitted.machine.effects}
+    effect = effects.pop(label)
+    machine = fitted.machine.replace(effects=tuple(effects.values()))
+    kept = [f.name in machine.parameters for f in fitted.free]
+    free, theta = tuple(itertools.compress(fitted.free, kept)), fitted.theta[kept]
+    state = SearchState.of(dataclasses.replace(fitted, machine=machine, free=free, theta=theta), data)
+    by_label: dict[str, list[Candidate]] = {}
+    for candidate in candidates(state):
+        periodic = any(p.role in ("rate", "period") for p in candidate.effect.parameters)
+        if periodic and candidate.label != label:
+            by_label.setdefault(candidate.label, []).append(candidate)
+    # Strongest first. What resembles the effect has the period that is strongest without it.
+    others = [candidate for shapes in by_label.values() for candidate in shapes[:_SHAPES]]
+    if not others:
+        return []
+    spend(f"comparing {label} with {len(by_label)} periodic effects")
+    return Screening.of(fitted, others, data, compared=[_itself(effect, state)]).resembling(label)
 
 
 def replacement_fit(

@@ -82,9 +82,8 @@ class EffectSearch:
         self.reached: Selection | None = None
         # Gain of the best candidate of the last step that failed a test, and that step; its trial fit is the first.
         self._doubted: tuple[float, Step] | None = None
-        self._screened: ScreenedFit | None = (
-            None  # fit with its candidates, where they were compared with others
-        )
+        # Fits with their candidates, the latest for each combination of effects.
+        self._screened: dict[tuple[str, ...], ScreenedFit] = {}
         self._seconds = 0.0  # processor time for the fit and the tests of the last effect that passed, s
 
     def with_data(self, data: Dataset) -> EffectSearch:
@@ -98,6 +97,7 @@ class EffectSearch:
         """
         search = EffectSearch(data, self._plain, self._criteria, self._log)
         search.considered, search._structures_failed = dict(self.considered), self._structures_failed
+        search._screened = dict(self._screened)
         return search
 
     def run(self, current: Fit, selected: tuple[SelectedEffect, ...] = ()) -> Selection:
@@ -256,7 +256,8 @@ class EffectSearch:
         effect must then explain what is left.
         """
         self._doubted, criteria = None, self._criteria
-        found = self._passing(current, required_gain(current.error, criteria), structures=True)
+        screened = self._with_candidates(current) if math.isfinite(current.cost) else None
+        found = self._passing(current, required_gain(current.error, criteria), screened, structures=True)
         if found is not None or has_narrowest_observer(current, self.data):
             return found
         narrower = narrower_observer(current, self.data)
@@ -276,12 +277,25 @@ class EffectSearch:
             wider, narrower = narrower, narrower_observer(narrower, self.data)
         return None
 
-    def _passing(self, current: Fit, enough: float, *, structures: bool = False) -> Step | None:
+    def _with_candidates(self, current: Fit, earlier: tuple[SelectedEffect, ...] = ()) -> ScreenedFit:
+        """Return a fit with its candidates; with those of some effects, which they may replace, if not known yet."""
+        labels = tuple(e.label for e in current.machine.effects)
+        known = self._screened.get(labels)
+        if known is not None and known.screening.fit is current and known.screening.data is self.data:
+            return known
+        machines = {
+            s.effect.label: machine_without(current.machine, s.effect.label, self._plain) for s in earlier
+        }
+        without = {label: machine for label, machine in machines.items() if machine is not None}
+        self._screened[labels] = screened_fit(current, self.data, without)
+        return self._screened[labels]
+
+    def _passing(
+        self, current: Fit, enough: float, screened: ScreenedFit | None = None, *, structures: bool = False
+    ) -> Step | None:
         """Return a fit, and trial fits with one more effect, the one that passes all tests first; None if none does."""
         data, criteria = self.data, self._criteria
-        screened, self._screened = self._screened, None
-        known = screened and screened.screening.fit is current and screened.screening.data is data
-        trials = trial_fits(current, data, enough, criteria, screened if known else None)
+        trials = trial_fits(current, data, enough, criteria, screened)
         structures = structures and self._worth_structures(current, trials)
         if structures:
             trials += structural_trial_fits(current, trials, data, enough, criteria)
@@ -310,16 +324,12 @@ class EffectSearch:
         data, criteria = self.data, self._criteria
         if only_noise_is_left(current.error, criteria):
             return current, selected
-        machines = {
-            s.effect.label: machine_without(current.machine, s.effect.label, self._plain) for s in earlier
-        }
-        without = {label: machine for label, machine in machines.items() if machine is not None}
-        if not without:
+        if not earlier:
             return current, selected
         # The next step begins with the same candidates if nothing is replaced.
-        self._screened = screened_fit(current, data, without)
+        screened = self._with_candidates(current, earlier)
         for old in earlier:
-            replaced = replacement_fit(current, old.effect.label, self._screened, self._plain, criteria)
+            replaced = replacement_fit(current, old.effect.label, screened, self._plain, criteria)
             if replaced is None:
                 continue
             reduced, better = replaced
@@ -373,13 +383,15 @@ class EffectSearch:
         Returns:
             The same effects with more rivals.
         """
-        extended = []
+        extended, screened = [], self._screened.get(tuple(e.label for e in current.machine.effects))
+        if screened is None or not screened.describes(current):
+            screened = self._with_candidates(current)
         for s in selected:
             known = {s.effect.label, *(e.label for e in (*current.machine.effects, *s.rival_effects))}
             loss = largest_resembling_loss(
                 long_run_variance(current, s.effect.label, self.data), self._criteria
             )
-            found = indistinguishable(current, s.effect, loss, self.data) if math.isfinite(loss) else []
+            found = indistinguishable(screened, s.effect.label, loss) if math.isfinite(loss) else []
             further = tuple(effect for effect in found if effect.label not in known)
             if further:
                 self._log(f"  {s.effect.label} resembles {', '.join(e.label for e in further)} in these runs")

@@ -21,8 +21,8 @@ from hframe_gym.identification.propose.candidates import (
     coverage,
     effect_parameters,
 )
-from hframe_gym.identification.propose.screening import resemblances
-from hframe_gym.identification.propose.trial_fits import indistinguishable
+from hframe_gym.identification.propose.screening import Screening
+from hframe_gym.identification.propose.trial_fits import indistinguishable, screened_fit
 from hframe_gym.machine import Machine
 from hframe_gym.recordings import Recording
 from tests.identification.single_axis import AXIS
@@ -51,7 +51,8 @@ def test_one_sine_cannot_tell_friction_over_speed_from_other_friction() -> None:
         free += effect_parameters(RIG.effects[0], RIG, typical_scales(fitted, data))
         complete = fit(RIG, tuple(free), data, 60.0)
         loss = largest_resembling_loss(LongRunVariance(1.0), SelectionCriteria())
-        return [effect.name for effect in indistinguishable(complete, RIG.effects[0], loss, data)]
+        screened = screened_fit(complete, data)
+        return [effect.name for effect in indistinguishable(screened, RIG.effects[0].label, loss)]
 
     single, several = rivals(sines([[1.0]] * 2)), rivals(sines([[1.0], [0.4, 2.3], [0.7, 5.0], [0.3]]))
     assert "tustin_friction" in single
@@ -66,7 +67,7 @@ def test_a_small_effect_is_compared_as_accurately_as_one_of_typical_size(part: f
     typical = SearchState.of(fitted, data).candidate(EFFECTS["sensor_delay"], "x_m", {})
     delay = typical.columns[0]["d"]
     own = Candidate(typical.effect, "x_m", ({"d": part * delay},), typical.scales)
-    (same,) = resemblances(fitted, own, [typical], data)
+    (same,) = Screening.of(fitted, [typical], data, compared=[own]).resembling(own.label)
     assert same.effect.parameters["d"] == pytest.approx(part * delay, rel=1e-6)
 
 

@@ -123,7 +123,7 @@ def test_another_effect_in_place_of_one_saves_what_a_fit_would(axis: Machine) ->
     fitted = fit(machine, free, data, SEARCH_BANDWIDTH)
     bare = fitted.machine.replace(effects=())
     others = CANDIDATES[1:]
-    ranked, gain = Screening.of(fitted, others, data, {wrong.label: bare}).in_place_of(wrong.label)
+    ranked, gain = Screening.of(fitted, others, data, without={wrong.label: bare}).in_place_of(wrong.label)
     without = fit(axis, default_free_parameters(axis), data, SEARCH_BANDWIDTH)
     assert gain == pytest.approx(without.cost - fitted.cost, rel=0.1, abs=0.02 * without.cost)
     assert ranked[0].candidate.label == "cable_spring@x"
@@ -135,7 +135,7 @@ def test_another_effect_in_place_of_one_saves_what_a_fit_would(axis: Machine) ->
 def test_a_machine_that_diverges_without_an_effect_keeps_it(axis: Machine) -> None:
     fitted, data = fit_without_effect(axis, 0.3)
     diverging = axis.with_effects(EFFECTS["cable_spring"].at("x", k=-1e6, q0=0.01))
-    screening = Screening.of(fitted, CANDIDATES, data, {"constant_force@x": diverging})
+    screening = Screening.of(fitted, CANDIDATES, data, without={"constant_force@x": diverging})
     assert screening.in_place_of("constant_force@x") == ([], np.inf)
     assert screening.ranked()[0].candidate.label == "constant_force@x"
 
