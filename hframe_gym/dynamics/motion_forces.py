@@ -118,6 +118,17 @@ class KnownMotion:
         Returns:
             Net forces, N or Nm, shape (N, coordinates), or (variants, N, coordinates) for several variants.
         """
+        return np.stack(np.broadcast_arrays(*self.by_coordinate(equations)), axis=-1)
+
+    def by_coordinate(self, equations: Equations) -> list[Array]:
+        """Return the same forces coordinate by coordinate, shape (variants, N) only where the variants differ.
+
+        Args:
+            equations: As in `forces`.
+
+        Returns:
+            Net force on each coordinate, N or Nm, shape (N,) or (variants, N).
+        """
         delayed = any(instance.effect.definition.delay for instance in equations.instances)
         voltages = delayed_voltages(equations, self._record[0], self._inputs) if delayed else self._voltages
         states = effect_states(equations, *self._record, voltages)
@@ -127,7 +138,8 @@ class KnownMotion:
             if equations.nonlinear_belts
             else self._belt_forces
         )
-        return np.asarray(equations.in_units(equations.net_forces(point, voltages, belt_forces=belt_forces)))
+        forces = equations.net_forces(point, voltages, belt_forces=belt_forces)
+        return [np.asarray(force * equations.radius(i)) for i, force in enumerate(forces)]
 
 
 def effect_forces(

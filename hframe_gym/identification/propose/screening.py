@@ -341,7 +341,7 @@ class Unperturbed:
     Attributes:
         motion: The motion.
         known: The same, for the forces of machines with one more effect.
-        force: Net force on every coordinate, N or Nm, shape (n, coordinates).
+        forces: Net force on each coordinate, N or Nm, shape (n,).
         time_s: Sample times, s, shape (n,).
         readings: Ideal reading of each sensor, in its unit, shape (n,) each.
     """
@@ -351,7 +351,7 @@ class Unperturbed:
         equations, q, v = Equations(bare), motion.positions[0], motion.velocities[0]
         self.motion, self.time_s = motion, run.time_s
         self.known = KnownMotion(equations, run.time_s, q, v, run.inputs)
-        self.force = self.known.forces(equations)
+        self.forces = self.known.by_coordinate(equations)
         accelerations, currents = np.gradient(v, run.time_s, axis=0), ohmic_currents(bare, v, run.inputs)
         self._columns = [list(values.T) for values in (q, v, accelerations, currents)]
         self.readings = self.readings_of(equations)
@@ -392,9 +392,10 @@ def candidate_perturbations(unperturbed: Unperturbed, perturbed: Sequence[Pertur
         if _acts_on_sensors(each.effect):
             measurement[rows] = _measurement_change(each.equations, unperturbed)
         else:
-            np.subtract(unperturbed.known.forces(each.equations), unperturbed.force, out=force[rows])
-            if each.fraction != 1.0:
-                force[rows] /= each.fraction
+            changed = unperturbed.known.by_coordinate(each.equations)
+            for i, (with_effect, without) in enumerate(zip(changed, unperturbed.forces, strict=True)):
+                if with_effect.ndim > 1 or not np.array_equal(with_effect, without):
+                    force[rows, :, i] = (with_effect - without) / each.fraction
     return Perturbation(force, measurement)
 
 
@@ -443,12 +444,15 @@ def _responses(
 ) -> Array:
     """Return the derivatives of a run's residual by the columns of candidates, shape (columns, rows)."""
 
+    start = run.initial_state(model.machine)
+
     def residual(force: Array, measurement: Array | None) -> Array:
         moved = predict(
             model.machine,
             run,
             model.bandwidth,
             period=model.data.period,
+            initial_state=start,
             extra_force=force,
             extra_measurement=measurement,
             longest_step=model.longest_step,
@@ -463,8 +467,10 @@ def _responses(
         of_sensors = any(_acts_on_sensors(each.effect) for each in part)
         step = np.repeat([each.step for each in part], [each.columns for each in part])
         by_column = step[:, None, None]
-        changed = residual(by_column * force, by_column * measurement if of_sensors else None)
-        columns.append((changed - unperturbed) / step[:, None])
+        force *= by_column
+        changed = residual(force, by_column * measurement if of_sensors else None)
+        changed -= unperturbed
+        columns.append(changed / step[:, None])
     return np.vstack(columns)
 
 
