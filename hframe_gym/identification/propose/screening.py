@@ -443,7 +443,6 @@ def _responses(
     model: ResidualModel, perturbed: Sequence[PerturbedMachine], run: PreparedRecording, motion: Motion
 ) -> Array:
     """Return the derivatives of a run's residual by the columns of candidates, shape (columns, rows)."""
-
     start = run.initial_state(model.machine)
 
     def residual(force: Array, measurement: Array | None) -> Array:

@@ -49,13 +49,6 @@ class ScreenedFit(NamedTuple):
     scales: TypicalScales
     screening: Screening
 
-    def describes(self, fitted: Fit) -> bool:
-        """Return whether a fit has the same effects and observer: a refined one resembles the same candidates."""
-        screened = self.screening.fit
-        return screened.bandwidth == fitted.bandwidth and [e.label for e in screened.machine.effects] == [
-            e.label for e in fitted.machine.effects
-        ]
-
 
 def screened_fit(current: Fit, data: Dataset, without: Mapping[str, Machine] | None = None) -> ScreenedFit:
     """Propose candidates to a fitted machine, and linearize the residual with them.

@@ -12,8 +12,9 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import NamedTuple
 
-from ...machine import Machine
+from ...machine import AppliedEffect, Machine
 from ...preparation.dataset import Dataset
 from ..budget import expect_tests, may_begin_again, note_error, seconds_spent, spend
 from ..evidence.long_run_variance import long_run_variance
@@ -59,6 +60,15 @@ from ..propose.trial_fits import (
 from .outcome import VoltagesChangeError
 
 
+class _Comparison(NamedTuple):
+    """What a comparison of an effect with its rivals has shown: the labels of those tried, and those that remained."""
+
+    fitted: Fit
+    data: Dataset
+    tried: frozenset[str] = frozenset()
+    remaining: tuple[AppliedEffect, ...] = ()
+
+
 class EffectSearch:
     """Forward selection of effects, at the observer bandwidth that the remaining model error requires.
 
@@ -82,8 +92,9 @@ class EffectSearch:
         self.reached: Selection | None = None
         # Gain of the best candidate of the last step that failed a test, and that step; its trial fit is the first.
         self._doubted: tuple[float, Step] | None = None
-        # Fits with their candidates, the latest for each combination of effects.
-        self._screened: dict[tuple[str, ...], ScreenedFit] = {}
+        # Fits with their candidates, the latest for each observer bandwidth and effects.
+        self._screened: dict[tuple[float | str, ...], ScreenedFit] = {}
+        self._compared: dict[str, _Comparison] = {}  # of effects with their rivals, the latest by label
         self._seconds = 0.0  # processor time for the fit and the tests of the last effect that passed, s
 
     def with_data(self, data: Dataset) -> EffectSearch:
@@ -256,8 +267,7 @@ class EffectSearch:
         effect must then explain what is left.
         """
         self._doubted, criteria = None, self._criteria
-        screened = self._with_candidates(current) if math.isfinite(current.cost) else None
-        found = self._passing(current, required_gain(current.error, criteria), screened, structures=True)
+        found = self._passing(current, required_gain(current.error, criteria), structures=True)
         if found is not None or has_narrowest_observer(current, self.data):
             return found
         narrower = narrower_observer(current, self.data)
@@ -266,35 +276,34 @@ class EffectSearch:
         if found is not None or self.data.has_voltage_errors:
             return found
         simulated = continue_fit(current, self.data, SIMULATION)
-        wider = narrower
-        while judge.is_worth_narrower_observer(wider.error, simulated.error, criteria):
-            found = self._passing(narrower, required_gain(narrower.error, criteria))
-            trials = [continue_fit(found[1][0], self.data, SIMULATION)] if found else []
-            if judge.explains_alone(simulated.error, best_error(trials), criteria):
-                return found
-            if has_narrowest_observer(narrower, self.data):
-                return None
-            wider, narrower = narrower, narrower_observer(narrower, self.data)
-        return None
+        if not judge.is_worth_narrower_observer(narrower.error, simulated.error, criteria):
+            return None
+        # What explains most of a simulation shows best with the narrowest observer.
+        while not has_narrowest_observer(narrower, self.data) and judge.is_worth_narrower_observer(
+            narrower.error, simulated.error, criteria
+        ):
+            narrower = narrower_observer(narrower, self.data)
+        found = self._passing(narrower, required_gain(narrower.error, criteria))
+        trials = [continue_fit(found[1][0], self.data, SIMULATION)] if found else []
+        return found if judge.explains_alone(simulated.error, best_error(trials), criteria) else None
 
     def _with_candidates(self, current: Fit, earlier: tuple[SelectedEffect, ...] = ()) -> ScreenedFit:
         """Return a fit with its candidates; with those of some effects, which they may replace, if not known yet."""
-        labels = tuple(e.label for e in current.machine.effects)
-        known = self._screened.get(labels)
+        known = self._screened.get(_effects_and_observer(current))
         if known is not None and known.screening.fit is current and known.screening.data is self.data:
             return known
         machines = {
             s.effect.label: machine_without(current.machine, s.effect.label, self._plain) for s in earlier
         }
         without = {label: machine for label, machine in machines.items() if machine is not None}
-        self._screened[labels] = screened_fit(current, self.data, without)
-        return self._screened[labels]
+        screened = screened_fit(current, self.data, without)
+        self._screened[_effects_and_observer(current)] = screened
+        return screened
 
-    def _passing(
-        self, current: Fit, enough: float, screened: ScreenedFit | None = None, *, structures: bool = False
-    ) -> Step | None:
+    def _passing(self, current: Fit, enough: float, *, structures: bool = False) -> Step | None:
         """Return a fit, and trial fits with one more effect, the one that passes all tests first; None if none does."""
         data, criteria = self.data, self._criteria
+        screened = self._with_candidates(current) if math.isfinite(current.cost) else None
         trials = trial_fits(current, data, enough, criteria, screened)
         structures = structures and self._worth_structures(current, trials)
         if structures:
@@ -383,9 +392,9 @@ class EffectSearch:
         Returns:
             The same effects with more rivals.
         """
-        extended, screened = [], self._screened.get(tuple(e.label for e in current.machine.effects))
-        if screened is None or not screened.describes(current):
-            screened = self._with_candidates(current)
+        # That of the last step, if it only was refined since.
+        screened = self._screened.get(_effects_and_observer(current)) or self._with_candidates(current)
+        extended = []
         for s in selected:
             known = {s.effect.label, *(e.label for e in (*current.machine.effects, *s.rival_effects))}
             loss = largest_resembling_loss(
@@ -417,17 +426,26 @@ class EffectSearch:
         for old in selected:
             others = [e for s in selected if s is not old for e in (s.effect, *s.rival_effects)]
             further = rivals_in_combination(old.effect, old.rival_effects, others, current.machine)
-            case = current, old.effect.label, old.rival_effects, self.data, self._criteria
-            compared = compare_rivals(*case, in_combination=further)
+            past = self._compared.get(old.effect.label)
+            if past is None or past.fitted is not current or past.data is not self.data:
+                past = _Comparison(current, self.data)
+            new = [rival for rival in old.rival_effects if rival.label not in past.tried]
+            further = tuple(rival for rival in further if rival.label not in past.tried)
+            compared = compare_rivals(
+                current, old.effect.label, new, self.data, self._criteria, in_combination=further
+            )
+            remaining = (*past.remaining, *compared.remaining)
             if compared.better is not None:
                 effect = compared.better.machine.effects[-1]
                 self._log(
                     f"  {effect.label} replaces {old.effect.label}: it is more likely beside all effects"
                 )
-                remaining = tuple(rival for rival in compared.remaining if rival.label != effect.label)
-                new = SelectedEffect(effect, old.gain, old.machine_without, remaining)
-                return self.settle_rivals(compared.better, (*(s for s in selected if s is not old), new))
-            settled = (*settled, dataclasses.replace(old, rival_effects=compared.remaining))
+                remaining = tuple(rival for rival in remaining if rival.label != effect.label)
+                winner = SelectedEffect(effect, old.gain, old.machine_without, remaining)
+                return self.settle_rivals(compared.better, (*(s for s in selected if s is not old), winner))
+            tried = past.tried | {rival.label for rival in (*new, *further)}
+            self._compared[old.effect.label] = _Comparison(current, self.data, tried, remaining)
+            settled = (*settled, dataclasses.replace(old, rival_effects=remaining))
         return current, tuple(s.with_values(current.machine) for s in settled)
 
     def prune(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> Selection:
@@ -461,3 +479,8 @@ class EffectSearch:
                 others = (s for s in selected if s is not candidate)
                 return self.prune(reduced, tuple(s.with_values(reduced.machine) for s in others))
         return current, tuple(s.with_values(current.machine, without.get(s.effect.label)) for s in selected)
+
+
+def _effects_and_observer(fitted: Fit) -> tuple[float | str, ...]:
+    """Return observer bandwidth, rad/s, and labels of the effects of a fit."""
+    return (fitted.bandwidth, *(e.label for e in fitted.machine.effects))

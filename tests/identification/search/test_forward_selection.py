@@ -6,11 +6,14 @@ Nothing is simulated. Fits have the costs that a test gives them, so that a test
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 from hframe_gym.effects import EFFECTS
+from hframe_gym.identification.evidence.rivals import ComparedRivals
 from hframe_gym.identification.fit.estimation import Fit, describe_gain
 from hframe_gym.identification.predict.prediction import SIMULATION
 from hframe_gym.identification.search import forward_selection
@@ -118,7 +121,7 @@ def test_what_all_observers_hide_is_searched_for_in_simulation(
         "continue_fit",
         lambda fitted, data, bandwidth: fitted if fitted.machine.effects else fit_with(chi2=3.0),
     )
-    scripted.trials = [[], [], [], [fit_with(PUSH, chi2=left)]]
+    scripted.trials = [[], [], [fit_with(PUSH, chi2=left)]]
     _, effects = scripted.search().run(fit_with(chi2=1.05, bandwidth=60.0))
     assert [s.effect for s in effects] == ([PUSH] if found else [])
 
@@ -239,3 +242,44 @@ def test_an_effect_that_raises_the_error_is_not_said_to_reduce_it() -> None:
         describe_gain(before, worse)
         == "does not reduce chi-squared per sample (500.5, with it 533.5, simulation)"
     )
+
+
+def test_a_rival_is_compared_once_beside_the_same_machine(
+    scripted: Scripted, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The search settles rivals after each effect and at its end, where the comparison with all effects adds some."""
+    compared: list[list[str]] = []
+
+    def compare(current: Fit, label: str, rivals: Sequence[AppliedEffect], *rest: Any, **more: Any) -> Any:
+        compared.append([rival.label for rival in rivals])
+        return ComparedRivals(None, tuple(rival for rival in rivals if rival is not SPRING))
+
+    monkeypatch.setattr(forward_selection, "compare_rivals", compare)
+    search, current = scripted.search(), fit_with(PUSH, chi2=1.0)
+    push = selected(PUSH)
+    for given in ((SPRING, FRAME), (SPRING, FRAME, DRAG)):
+        _, (push,) = search.settle_rivals(current, (dataclasses.replace(push, rival_effects=given),))
+    assert compared == [[SPRING.label, FRAME.label], [DRAG.label]]
+    assert push.rival_effects == (FRAME, DRAG)
+    search.settle_rivals(fit_with(PUSH, chi2=1.0), (push,))
+    assert compared[-1] == [FRAME.label, DRAG.label]
+
+
+@pytest.mark.parametrize(("effects", "screened"), [((PUSH,), 1), ((PUSH, FRAME), 2)])
+def test_selected_effects_are_compared_with_the_candidates_of_the_last_step(
+    scripted: Scripted, monkeypatch: pytest.MonkeyPatch, effects: tuple[AppliedEffect, ...], screened: int
+) -> None:
+    """A refit of the same effects resembles the same candidates; beside another effect, they are screened again."""
+    fits: list[Fit] = []
+
+    def screen(current: Fit, data: Any, without: Any) -> Any:
+        fits.append(current)
+        return SimpleNamespace(screening=SimpleNamespace(fit=current, data=data))
+
+    monkeypatch.setattr(forward_selection, "screened_fit", screen)
+    monkeypatch.setattr(forward_selection, "indistinguishable", lambda screened, label, loss: [DRAG])
+    search = scripted.search()
+    search.run(fit_with(PUSH, chi2=10.0))
+    (push,) = search.with_indistinguishable(fit_with(*effects, chi2=9.9), (selected(PUSH),))
+    assert push.rival_effects == (DRAG,)
+    assert len(fits) == screened
