@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import time
 import webbrowser
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
     from ..recordings import Recording
 
 _Log = Callable[[str], None]
+_REPORT_S = 6.0  # processor time for report.json and report.html; libraries and plots took 5 s on busy cores
 _INTERRUPTED = 130  # exit code after Ctrl-C, as of every command; the result of the search so far was written
 _Identification = Callable[..., Any]  # `_check_and_identify` with the options of the command
 
@@ -68,8 +70,8 @@ def identify(
         float | None,
         Option(
             min=0.0,
-            help="Processor time for a rig, s (default: 120). The search ends in time with the best machine so far "
-            "(0: refit only; inf: no limit).",
+            help="Processor time for a rig, s (default: 120), all threads together, from reading its files to its "
+            "report. The search ends in time with the best machine so far (0: refit only; inf: no limit).",
         ),
     ] = None,
     ray: RayOption = None,
@@ -85,6 +87,7 @@ def identify(
 
     Example:  hframe identify examples/rig_a --out out/rig_a
     """
+    began = time.process_time()
     from ..identification.report.saved_result import next_command
     from ..recordings import load_machine
 
@@ -104,7 +107,7 @@ def identify(
         if jobs:
             os.environ["HFRAME_THREADS"] = str(jobs)
         result, page_error = _identify_rig(
-            check_and_identify, runs_dir, _load_runs(runs_dir, declared, max_rows), out
+            check_and_identify, runs_dir, _load_runs(runs_dir, declared, max_rows), out, began
         )
     if page_error is not None and not isinstance(page_error, ImportError):
         raise page_error
@@ -115,14 +118,23 @@ def identify(
 
 
 def _identify_rig(
-    check_and_identify: _Identification, runs_dir: Path, recordings: list[Recording], out: Path
+    check_and_identify: _Identification,
+    runs_dir: Path,
+    recordings: list[Recording],
+    out: Path,
+    began: float,
 ) -> tuple[IdentificationResult, Exception | None]:
-    """Identify one rig, write and print its result; return it with the error that prevented report.html, if any."""
+    """Identify one rig, write and print its result; return it with the error that prevented report.html, if any.
+
+    The budget counts the processor time since the command began, s.
+    """
     from ..identification.report.verdict_words import verdict_sentence
     from .tables.identification import effect_lines, identification_table
 
     with search_progress(log) as progress:
-        result, findings = check_and_identify(runs_dir, recordings, log, progress)
+        result, findings = check_and_identify(
+            runs_dir, recordings, log, progress, spent=time.process_time() - began
+        )
     report, page_error = _write_rig(result, findings, runs_dir, out, out, log)
     console.print(identification_table(report))
     log(f"Result: {verdict_sentence(report)}")
@@ -173,12 +185,17 @@ def _check_and_identify(
     recordings: list[Recording],
     log: _Log,
     progress: Progress | None = None,
+    spent: float = 0.0,
 ) -> tuple[IdentificationResult, list[Finding]]:
-    """Check and identify the runs of a rig; return the result and the findings about the data."""
+    """Check and identify the runs of a rig; return the result and the findings about the data.
+
+    A part of the budget was spent before, s; another one is left for the report.
+    """
     from ..identification import identify as run_identification
     from ..identification.budget import DEFAULT_SECONDS, Budget
 
-    budget = Budget(DEFAULT_SECONDS if budget_s is None else budget_s, progress=progress)
+    seconds = DEFAULT_SECONDS if budget_s is None else budget_s
+    budget = Budget(seconds, spent=spent, afterwards=_REPORT_S, progress=progress)
     findings = check_recordings_before_fit(recordings, machine, None if force else folder, log)
     with finishing_on_interrupt(budget) if progress else nullcontext():  # of several rigs, Ctrl-C ends all
         return run_identification(recordings, machine, held_out=hold_out, log=log, budget=budget), findings

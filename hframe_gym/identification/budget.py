@@ -41,6 +41,8 @@ PLAIN_FIT_PART = 0.3
 _LARGEST_RESERVE = 0.5
 # Least part of a normal session that is fitted, however small the budget: two runs of 5 s of a stage.
 _LEAST_SESSION_PART = 0.25
+# Part of the budget after which the last fit ends that must be delivered, whatever took the time before.
+_LAST_FIT_END = 0.95
 # Part of the budget for each stage after the search. In complete identifications, tests and final fits took 5 to 20 %;
 # a description takes 10 s for its first effect.
 _STAGE_PART = 0.15
@@ -75,7 +77,7 @@ def stage_ends(machine: Machine, *, in_part: bool = False) -> StageEnds:
     """
     all_rows = LAST_STAGE_END - (0.0 if machine.belts else _STAGE_PART)
     tests = all_rows - (_STAGE_PART if in_part else 0.0)
-    return StageEnds(tests - _STAGE_PART, tests, min(tests + _STAGE_PART, 1.0), all_rows)
+    return StageEnds(tests - _STAGE_PART, tests, min(tests + _STAGE_PART, _LAST_FIT_END), all_rows)
 
 
 class BudgetEndedError(Exception):
@@ -99,6 +101,8 @@ class Budget:
         self,
         seconds: float = math.inf,
         *,
+        spent: float = 0.0,
+        afterwards: float = 0.0,
         clock: Callable[[], float] = time.process_time,
         progress: Progress | None = None,
     ) -> None:
@@ -106,6 +110,8 @@ class Budget:
 
         Args:
             seconds: Processor time, s.
+            spent: Part of it that was spent before, such as for reading the recordings, s.
+            afterwards: Part that follows the identification, such as for a report page, s.
             clock: Function that returns the time that was spent, s, with any zero.
             progress: Called with what the search does, the time spent and the budget, s, at each step of the search.
 
@@ -120,14 +126,15 @@ class Budget:
         self._ended: float | None = None  # time spent when the search ended
         self._part = 1.0  # of the budget, after which the present stage ends
         self.delivers = False
-        self._reserved = 0.0  # s, for what follows the last stage
+        self._afterwards = afterwards
+        self.reserve(0.0)
         self._tests_part = math.inf  # of the budget, after which the tests end that follow the present stage
         self._tests = 0.0  # s, for these tests
-        self._began = clock()
+        self._began = clock() - spent
 
     @property
     def spent(self) -> float:
-        """Processor time since the budget was made, s."""
+        """Processor time since the budget was made, with what was spent before, s."""
         return self._clock() - self._began
 
     @property
@@ -197,9 +204,10 @@ class Budget:
         """Let all stages end earlier, if the last part of the budget is too short for what follows them.
 
         Args:
-            seconds: Processor time that follows the last stage, s; it takes the place of an earlier estimate.
+            seconds: Processor time that follows the last stage, up to the end of the identification, s; it takes the
+                place of an earlier estimate.
         """
-        self._reserved = min(seconds, _LARGEST_RESERVE * self.seconds)
+        self._reserved = min(seconds + self._afterwards, _LARGEST_RESERVE * self.seconds)
 
     def expect_tests(self, seconds: float) -> None:
         """Let a stage that tests follow end earlier, if these would otherwise not end in time.

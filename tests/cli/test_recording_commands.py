@@ -5,12 +5,15 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from hframe_gym.cli import identify_commands
 from hframe_gym.errors import InputError
 from hframe_gym.identification import simulate_recording
+from hframe_gym.identification.budget import LAST_STAGE_END, Budget
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import load_recording
 from tests.cli.running import ROOT, Command, assert_refused
@@ -110,6 +113,28 @@ def test_a_fault_in_the_data_stops_identify_and_is_the_exit_code_of_check(
 
     monkeypatch.setattr("hframe_gym.identification.identify", begin_fit)
     assert_refused(hframe_command("identify", runs, "--out", out, "--force"), "the fit begins")
+
+
+def test_the_budget_of_identify_counts_from_the_start_of_the_command(
+    hframe_command: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The clock advances by 1 s while the files are read; time for the report is left at the end."""
+    clock = [100.0]
+    monkeypatch.setattr("time.process_time", lambda: clock[0])
+    load = identify_commands._load_runs
+
+    def loaded(*arguments: Any) -> Any:
+        clock[0] += 1.0
+        return load(*arguments)
+
+    def begin_fit(*_args: object, budget: Budget, **_keywords: object) -> None:
+        left = budget.until(LAST_STAGE_END).seconds
+        raise InputError(f"{budget.spent:.0f} s of {budget.seconds:.0f} s, then {left:.0f} s")
+
+    monkeypatch.setattr(identify_commands, "_load_runs", loaded)
+    monkeypatch.setattr("hframe_gym.identification.identify", begin_fit)
+    refused = hframe_command("identify", ROOT / "examples/rig_b", "--out", tmp_path / "out", "--budget", "20")
+    assert_refused(refused, "1 s of 20 s, then 13 s")
 
 
 @pytest.mark.parametrize(

@@ -385,6 +385,14 @@ def test_what_follows_the_last_stage_lets_the_stages_end_earlier() -> None:
     assert not budget.has_time(LAST_STAGE_END)
 
 
+def test_a_budget_counts_what_comes_before_and_after_the_identification() -> None:
+    budget = Budget(20.0, spent=4.0, afterwards=5.0, clock=lambda: 7.0)
+    assert budget.spent == 4.0
+    assert budget.until(LAST_STAGE_END).seconds == pytest.approx(15.0 - 4.0)
+    budget.reserve(1.0)
+    assert budget.until(LAST_STAGE_END).seconds == pytest.approx(14.0 - 4.0)
+
+
 def test_no_machine_is_evaluated_twice_and_known_ones_before_the_search(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -146,7 +146,8 @@ def find_effects(
             found = exchanged  # the run that had been held out is the only one that disagrees
         else:
             found = found._replace(hint=_hint(found, exchanged))
-    outcome = without_unconfirmed(found.outcome, found.agreeing, log)
+    with budget.limiting(delivers=True):
+        outcome = without_unconfirmed(found.outcome, found.agreeing, log)
     return found._replace(outcome=_with_input_timing(outcome, found.agreeing, criteria, log, budget))
 
 
