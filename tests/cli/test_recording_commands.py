@@ -132,6 +132,7 @@ def test_the_budget_of_identify_counts_from_the_start_of_the_command(
         raise InputError(f"{budget.spent:.0f} s of {budget.seconds:.0f} s, then {left:.0f} s")
 
     monkeypatch.setattr(identify_commands, "_load_runs", loaded)
+    monkeypatch.setattr(identify_commands, "check_recordings_before_fit", lambda *arguments: [])
     monkeypatch.setattr("hframe_gym.identification.identify", begin_fit)
     refused = hframe_command("identify", ROOT / "examples/rig_b", "--out", tmp_path / "out", "--budget", "20")
     assert_refused(refused, "1 s of 20 s, then 13 s")
