@@ -256,7 +256,7 @@ def _fits_by_run(fitted: Fit, data: Dataset, chi2_before: float) -> Iterator[Run
         _quantities(fitted.machine, model.free), key=lambda quantity: model.promise(start, quantity)
     )
     for quantity in promising[:_CANDIDATES]:
-        cost, amounts = model.fit(quantity)
+        cost, amounts = model.fit(start, quantity)
         relative = (amounts - amounts.min()).tolist()
         in_time = sorted(zip(data.runs, relative, strict=True), key=lambda pair: float(pair[0].time_s[0]))
         by_run = {run.name: amount for run, amount in in_time}
@@ -349,16 +349,23 @@ class _ModelByRun:
 
     def _theta_of_run(self, z: Array, run: int, quantity: Quantity) -> Array:
         """Return the optimizer's variables of the parameters of a run, shape (K,)."""
-        values = values_at(self.free, np.append(z[: self._k], np.zeros(len(self._fixed))))
+        theta = np.append(z[: self._k], np.zeros(len(self._fixed)))
+        differing = self._differing(quantity)
+        values = values_at([self.free[j] for j in differing], theta[differing])
         changed = quantity.changed(values, float(z[self._k + run]))
-        return np.array([f.theta(changed[f.name]) for f in self.free])
+        theta[differing] = [self.free[j].theta(changed[self.free[j].name]) for j in differing]
+        return theta
+
+    def _differing(self, quantity: Quantity) -> list[int]:
+        """Return the indices of the parameters that a quantity changes."""
+        names = {*quantity.exponents, *quantity.additions}
+        return [j for j, f in enumerate(self.free) if f.name in names]
 
     def _derivatives(self, z: Array, run: int, quantity: Quantity) -> Array:
         """Return the derivatives of `_theta_of_run` with respect to z, shape (K, k + n)."""
         derivatives, steps = np.eye(len(self.free), len(z)), np.eye(len(z)) * _STEP
         derivatives[:, self._k :] = 0.0  # amounts of other runs do not affect this one
-        differing = {*quantity.exponents, *quantity.additions}
-        for j in (*(j for j in range(self._k) if self.free[j].name in differing), self._k + run):
+        for j in (*(j for j in self._differing(quantity) if j < self._k), self._k + run):
             ends = [self._theta_of_run(z + sign * steps[j], run, quantity) for sign in (1.0, -1.0)]
             derivatives[:, j] = (ends[0] - ends[1]) / (2.0 * _STEP)
         return derivatives
@@ -387,15 +394,20 @@ class _ModelByRun:
         hessian, gradient, _ = self._equations(start, quantity)
         return -float(gradient @ np.linalg.solve(hessian, gradient))
 
-    def fit(self, quantity: Quantity) -> tuple[float, Array]:
+    def fit(self, start: _Expansion, quantity: Quantity) -> tuple[float, Array]:
         """Fit theta and the amounts by the Levenberg-Marquardt method.
+
+        Args:
+            start: Expansion at `self.start`, where no quantity differs.
+            quantity: The quantity with an amount in each run.
 
         Returns:
             Cost without the prior, and the amounts, dimensionless, shape (n,).
         """
-        z, cost = self.start, math.inf
-        for _ in range(_ITERATIONS):
-            expansion = self.linearize(z, quantity)
+        z, cost, expansion = self.start, math.inf, start
+        for iteration in range(_ITERATIONS):
+            if iteration:
+                expansion = self.linearize(z, quantity)
             if not math.isfinite(expansion.cost):
                 break
             hessian, gradient, precision = self._equations(expansion, quantity)
