@@ -137,6 +137,7 @@ class _LinearizedFits:
         self.usable = np.array([[equations.finite for equations in runs] for runs in self._equations])
         self._variances = np.array([_variances(fitted, data, bandwidth) for bandwidth in self.bandwidths])
         self._counts = np.array([run.count for run in data.runs])
+        self._known: dict[tuple[int, ...], tuple[float, Array]] = {}  # results of `loss`
 
     def _at(self, bandwidth: float, data: Dataset) -> tuple[NormalEquations, ...]:
         step = search_step(bandwidth)
@@ -149,6 +150,13 @@ class _LinearizedFits:
         Args:
             choice: Index of the bandwidth of every run.
         """
+        key = tuple(choice)
+        if key not in self._known:
+            self._known[key] = self._loss(choice)
+        return self._known[key]
+
+    def _loss(self, choice: Sequence[int]) -> tuple[float, Array]:
+        """Return `loss`."""
         fitted, runs = self._fitted, range(len(choice))
         equations = [self._equations[index][run] for run, index in enumerate(choice)]
         variances = self._variances[list(choice), runs]

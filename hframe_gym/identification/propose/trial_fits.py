@@ -482,7 +482,10 @@ def without_effect(
     kept = np.array([free.name in machine.parameters for free in current.free])
     free, theta = tuple(itertools.compress(current.free, kept)), current.theta[kept]
     if thorough:
-        reduced = fit(machine, free, data, current.bandwidth, theta=theta, longest_step=POLISH_STEP)
+        near = fit(
+            machine, free, data, current.bandwidth, theta=theta, longest_step=search_step(current.bandwidth)
+        )
+        reduced = fit(machine, free, data, current.bandwidth, theta=near.theta, longest_step=POLISH_STEP)
     else:
         reduced = _trial_fit(machine, free, theta, current, data)
     required = next(

@@ -389,7 +389,8 @@ class ModelSearch:
             # More accurate zeros may reveal further effects.
             found_at, search = current, self._new_search(search.with_data(refined))
             search.reached = current, effects
-            current = fit_with_model_error(polish(current, refined), refined)
+            # With the same integration step, so that only the zeros make a difference.
+            current = fit_with_model_error(continue_fit(current, refined, current.bandwidth), refined)
             lower = is_enough(found_at.error, current.error, required_gain(found_at.error, criteria))
             if lower or current.bandwidth != found_at.bandwidth:
                 current, effects = search.run(current, effects)
