@@ -115,7 +115,7 @@ def identify(
     remarks = (*found.remarks, *delivered.remarks)
     differences = RunDifferencesInWords()
     puzzling = bool(remarks) or outcome.verdict == "unexplained"
-    if puzzling and not found.outcome.unfinished and budget.has_time(COMPARISON_PART):
+    if puzzling and budget.has_time(COMPARISON_PART):
         runs = representative_part(found.comparable_runs(session.data), machine, every_run=True)
         # From the machine of the search: the one that is delivered may describe what the runs do not have in common.
         with suppress(BudgetEndedError), budget.limiting(LAST_STAGE_END):

@@ -238,6 +238,24 @@ def test_what_there_is_no_time_to_test_is_not_named() -> None:
     assert entry.reason == "was not tested before the budget ended"
 
 
+@pytest.mark.parametrize(("part", "told"), [(stage_ends(AXIS).search, True), (COMPARISON_PART, False)])
+def test_a_search_that_ends_early_leaves_time_to_compare_the_runs(part: float, told: bool) -> None:
+    """The drive has another gain in each run, which no effect of the library explains."""
+    stages: list[str] = []
+    budget = Budget(
+        1.0,
+        clock=lambda: part if any("screening" in stage for stage in stages) else 0.0,
+        progress=lambda doing, *time: stages.append(doing),
+    )
+    runs = [
+        dataclasses.replace(run, inputs=run.inputs / gain)
+        for run, gain in zip(limited_runs([2.0] * 5), (1.0, 0.8, 1.1, 0.7, 0.9), strict=True)
+    ]
+    result = identify(runs, AXIS, budget=budget)
+    assert result.unfinished is not None
+    assert any("The runs differ" in warning for warning in result.run_warnings) == told
+
+
 @pytest.mark.parametrize("remaining", [True, False])
 def test_what_was_found_is_compared_with_other_effects_in_the_remaining_time(
     monkeypatch: pytest.MonkeyPatch, remaining: bool

@@ -178,19 +178,35 @@ class EffectEvidence:
         return self.without.cost - self.with_effect.cost
 
 
+def enough_gain(error: FitError, criteria: SelectionCriteria, *, voltages_known: bool) -> float:
+    """Return the smallest reduction of chi-squared per sample, dimensionless, for which an effect is selected.
+
+    Unknown voltages between the rows may cause all of the error beyond the noise, so that a right effect need not
+    remove a fraction of it. The other tests decide then.
+
+    Args:
+        error: Error without the effect, or with it.
+        criteria: Decision thresholds `min_gain` and `min_gain_fraction`.
+        voltages_known: Whether the log contains all voltages.
+    """
+    return required_gain(error, criteria) if voltages_known else criteria.min_gain
+
+
 def doubt_about_candidate(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
     """Return why an effect that the search just added may not exist; "" if nothing speaks against it.
 
     The statistical tests (confirmation by other runs, chance, disagreement of the sensors, interpolation of the
     voltages) need a machine that nearly explains the data without the effect: while other effects are missing, a fit
     without one run says little about the machine, and what they leave is correlated in time. `doubt_beside_others`
-    repeats them for every effect.
+    repeats them for every effect. An effect that removes a small fraction of the error, as `enough_gain` permits, must
+    pass them at once.
 
     Args:
         evidence: What the fitted runs say.
         criteria: Decision thresholds.
     """
-    return _doubt(evidence, criteria, statistical=nearly_explains(evidence.without, criteria))
+    large = is_enough(evidence.without, evidence.with_effect, required_gain(evidence.without, criteria))
+    return _doubt(evidence, criteria, statistical=not large or nearly_explains(evidence.without, criteria))
 
 
 def doubt_beside_others(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
@@ -204,7 +220,8 @@ def doubt_beside_others(evidence: EffectEvidence, criteria: SelectionCriteria) -
         evidence: What the fitted runs say.
         criteria: Decision thresholds.
     """
-    if not is_enough(evidence.without, evidence.with_effect, required_gain(evidence.with_effect, criteria)):
+    enough = enough_gain(evidence.with_effect, criteria, voltages_known=evidence.beside_voltages is None)
+    if not is_enough(evidence.without, evidence.with_effect, enough):
         return "has no effect on the error"
     return parameter_at_limit(evidence.parameters) or _doubt(evidence, criteria, statistical=True)
 

@@ -22,6 +22,11 @@ CLEAR = 2.0
 FAR = 10.0
 
 
+# Factor within which the size of unknown voltages between the rows is known, from the third differences of the logged
+# ones.
+SIZE_OF_VOLTAGES = 2.0
+
+
 @dataclass(frozen=True)
 class FitError:
     """What a fit leaves of the error.
@@ -105,6 +110,19 @@ def explains(
 def nearly_explains(error: FitError, criteria: SelectionCriteria) -> bool:
     """Return whether so little error is left that missing effects do not falsify statistical tests."""
     return error.chi2 < criteria.explained_chi2
+
+
+def voltages_may_cause(error: FitError, criteria: SelectionCriteria) -> bool:
+    """Return whether unknown voltages between the rows may cause all of an error beyond the noise.
+
+    Of a log with all voltages, an exact machine may leave as much as `explained_chi2`; here, an excess that is larger
+    by the factor within which the variance of these voltages is known.
+
+    Args:
+        error: Error of a fit to a log that is slower than its controller.
+        criteria: Decision threshold `explained_chi2`.
+    """
+    return error.chi2 < 1.0 + SIZE_OF_VOLTAGES**2 * (criteria.explained_chi2 - 1.0)
 
 
 def only_noise_is_left(error: FitError, criteria: SelectionCriteria) -> bool:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from .criteria import SelectionCriteria
-from .error import AS_GOOD, CLEAR, FitError, required_gain
+from .error import AS_GOOD, CLEAR, SIZE_OF_VOLTAGES, FitError, required_gain
 
 Verdict = Literal["effect_found", "no_effect", "unexplained"]
 
@@ -109,10 +109,6 @@ def error_beyond_noise(motion: float, left: float) -> float:
     return motion * math.sqrt(part)
 
 
-# Factor within which the size of unknown voltages is known, from the third differences of the logged ones.
-_SIZE_OF_VOLTAGES = 2.0
-
-
 def contradiction_of_no_effect(evidence: VerdictEvidence, criteria: SelectionCriteria) -> str:
     """Return why the held-out runs contradict that no effect is missing, or "" if they do not.
 
@@ -127,7 +123,7 @@ def contradiction_of_no_effect(evidence: VerdictEvidence, criteria: SelectionCri
     Returns:
         A clause.
     """
-    explained = criteria.max_noise_ratio_explained * (1.0 if evidence.voltages_known else _SIZE_OF_VOLTAGES)
+    explained = criteria.max_noise_ratio_explained * (1.0 if evidence.voltages_known else SIZE_OF_VOLTAGES)
     if not evidence.left <= explained:
         allowed = f"; up to {explained:g} times counts as explained" if math.isfinite(evidence.left) else ""
         return f"{evidence.in_words}{allowed}"
@@ -252,6 +248,7 @@ def verdict_of_effects(
 def verdict_of_rest(
     any_effect: bool,
     runs_differ: Callable[[], bool],
+    voltages_may_cause: bool,
     evidence: Callable[[], PartialEvidence],
     criteria: SelectionCriteria,
 ) -> tuple[Verdict, str]:
@@ -261,10 +258,12 @@ def verdict_of_rest(
         any_effect: Whether effects passed all tests.
         runs_differ: Function that returns whether another value of a parameter in each run explains the runs, as no
             effect can.
+        voltages_may_cause: Whether unknown voltages between the rows may cause all that is left. The held-out runs then
+            judge the effects by what they remove.
         evidence: Function that returns the errors with and without effects.
         criteria: Decision threshold `max_partial_excess`.
     """
-    if any_effect and not runs_differ() and explains_most(evidence(), criteria):
+    if any_effect and not runs_differ() and (voltages_may_cause or explains_most(evidence(), criteria)):
         return "effect_found", ""
     return "unexplained", "leaves most of the error, also together with the other effects"
 

@@ -40,6 +40,7 @@ from ..fit.start_estimation import with_probable_starts
 from ..fit.voltage_updates import other_updates
 from ..judge import trial as judge
 from ..judge.criteria import SelectionCriteria
+from ..judge.effect import enough_gain
 from ..judge.error import is_enough, nearly_explains, only_noise_is_left, required_gain
 from ..judge.rival import largest_resembling_loss
 from ..judge.trial import StructureEvidence
@@ -199,7 +200,7 @@ class EffectSearch:
     def _passes_again(self, label: str, reduced: Fit, complete: Fit) -> bool:
         """Return whether an effect of a machine passes the tests of a candidate beside the others, and log it."""
         effect = next(e for e in complete.machine.effects if e.label == label)
-        enough = required_gain(reduced.error, self._criteria)
+        enough = self._enough(reduced)
         self._log(f"  {label} {describe_gain(reduced, complete)}")
         if not is_enough(reduced.error, complete.error, enough):
             self._log(f"  {label} is not selected: a reduction by {enough:.2g} is required")
@@ -267,11 +268,11 @@ class EffectSearch:
         effect must then explain what is left.
         """
         self._doubted, criteria = None, self._criteria
-        found = self._passing(current, required_gain(current.error, criteria), structures=True)
+        found = self._passing(current, self._enough(current), structures=True)
         if found is not None or has_narrowest_observer(current, self.data):
             return found
         narrower = narrower_observer(current, self.data)
-        enough = required_gain(current.error, criteria) + likelihood_deficit(narrower, current, self.data)
+        enough = self._enough(current) + likelihood_deficit(narrower, current, self.data)
         found = self._passing(narrower, enough)
         if found is not None or self.data.has_voltage_errors:
             return found
@@ -299,6 +300,10 @@ class EffectSearch:
         screened = screened_fit(current, self.data, without)
         self._screened[_effects_and_observer(current)] = screened
         return screened
+
+    def _enough(self, fitted: Fit) -> float:
+        """Return the reduction of chi-squared per sample for which an effect is selected."""
+        return enough_gain(fitted.error, self._criteria, voltages_known=not self.data.has_voltage_errors)
 
     def _passing(self, current: Fit, enough: float, *, structures: bool = False) -> Step | None:
         """Return a fit, and trial fits with one more effect, the one that passes all tests first; None if none does."""

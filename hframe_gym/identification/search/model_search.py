@@ -28,7 +28,14 @@ from ..fit.slow_logs import fit_slow_log
 from ..fit.start_estimation import refine_dataset
 from ..judge.criteria import SelectionCriteria
 from ..judge.effect import parameter_at_limit
-from ..judge.error import FitError, explains, is_enough, nearly_explains, required_gain
+from ..judge.error import (
+    FitError,
+    explains,
+    is_enough,
+    nearly_explains,
+    required_gain,
+    voltages_may_cause,
+)
 from ..judge.table import TableEvidence, accepts_table, is_one_curve
 from ..judge.verdict import (
     DriftEvidence,
@@ -239,6 +246,7 @@ class ModelSearch:
         return verdict_of_rest(
             bool(found.effects),
             lambda: self.runs_differ,
+            self._voltages_may_cause(found),
             lambda: self._partial_evidence(found.fitted),
             self._criteria,
         )
@@ -338,7 +346,7 @@ class ModelSearch:
         return SearchOutcome(
             before,
             self._explains(self.before),
-            self._explains(found.fitted),
+            self._explains(found.fitted) or self._voltages_may_cause(found),
             verdict,
             after,
             tuple(s.with_values(after.machine) for s in found.effects),
@@ -521,6 +529,11 @@ class ModelSearch:
             wide=(self._wide_error(after), self._wide_error(self.base)),
             simulated=(simulated(after), simulated(self.before)),
         )
+
+    def _voltages_may_cause(self, found: Found) -> bool:
+        """Return whether unknown voltages between the rows may cause all that effects leave."""
+        unknown = bool(found.effects) and self._data.has_voltage_errors
+        return unknown and voltages_may_cause(found.fitted.error, self._criteria)
 
     def _explains(self, after: Fit) -> bool:
         """Return whether a fit explains the runs (`judge.error.explains`)."""

@@ -35,7 +35,8 @@ class SearchOutcome(NamedTuple):
     Attributes:
         before: Fit of the refitted machine, without effects.
         before_explains: Whether that machine explains the data.
-        explained: Whether the machine with the effects explains the data.
+        explained: Whether the machine with the effects explains the data, or unknown voltages between the rows may
+            cause all that it leaves.
         verdict: "effect_found", "no_effect" or "unexplained".
         after: Fit of the machine with the effects.
         selected: The selected effects.

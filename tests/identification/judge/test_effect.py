@@ -176,6 +176,35 @@ def test_an_effect_must_reduce_the_error_beside_all_others(without: float, doubt
 
 
 @pytest.mark.parametrize(
+    ("with_effect", "known", "candidate", "beside_others"),
+    [
+        # A damping of belts removes 8 % of the error that a log slower than its controller leaves, and is there.
+        (1.607, {"beside_voltages": 700.0}, "", ""),
+        (1.607, {"beside_voltages": 40.0}, BETWEEN_ROWS, BETWEEN_ROWS),
+        (1.607, {"beside_voltages": 700.0, "chance": by_chance(540.0, 30.0)}, CHANCE, CHANCE),
+        (1.607, {}, "", "has no effect on the error"),  # the log has all voltages
+        (1.655, {"beside_voltages": 700.0}, "", "has no effect on the error"),
+        # While more is missing, chance says nothing about an effect that removes much of the error.
+        (1.3, {"beside_voltages": 40.0}, "", BETWEEN_ROWS),
+    ],
+)
+def test_where_voltages_are_unknown_an_effect_need_not_remove_a_part_of_the_error(
+    with_effect: float, known: dict[str, Any], candidate: str, beside_others: str
+) -> None:
+    found = evidence(1.661, with_effect, **known)
+    assert judge.doubt_about_candidate(found, CRITERIA) == candidate
+    assert judge.doubt_beside_others(found, CRITERIA) == beside_others
+
+
+@pytest.mark.parametrize(
+    ("known", "required"),
+    [(True, 0.05), (False, 0.01)],
+)
+def test_the_gain_that_is_required_beside_unknown_voltages(known: bool, required: float) -> None:
+    assert judge.enough_gain(error(1.5), CRITERIA, voltages_known=known) == pytest.approx(required)
+
+
+@pytest.mark.parametrize(
     ("without", "with_effect", "sure"),
     [(60.0, 1.1, True), (60.0, 3.0, False), (10.1, 1.0, True), (9.9, 1.0, False)],
 )

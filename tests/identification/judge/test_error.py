@@ -13,6 +13,7 @@ from hframe_gym.identification.judge.error import (
     only_noise_is_left,
     required_gain,
     unexplained_fraction,
+    voltages_may_cause,
 )
 
 CRITERIA = SelectionCriteria()
@@ -38,6 +39,11 @@ def test_the_smallest_gain_is_a_fraction_of_the_excess(
 def test_a_gain_is_compared_per_sample(after: float, enough: bool) -> None:
     """A reduction that is not a number stays until another test rejects it, as the cost of a fit is finite."""
     assert is_enough(error(2.9), error(after), 0.9) == enough
+
+
+@pytest.mark.parametrize(("chi2", "may_cause"), [(2.99, True), (3.01, False)])
+def test_unknown_voltages_may_cause_four_times_the_excess(chi2: float, may_cause: bool) -> None:
+    assert voltages_may_cause(error(chi2), CRITERIA) == may_cause
 
 
 @pytest.mark.parametrize(

@@ -55,19 +55,24 @@ def test_the_verdict_on_effects_of_the_library(
 
 
 @pytest.mark.parametrize(
-    ("any_effect", "runs_differ", "wide", "verdict"),
+    ("any_effect", "runs_differ", "voltages", "wide", "verdict"),
     [
-        (True, False, 3.3, "effect_found"),
-        (True, False, 3.4, "unexplained"),
-        (True, True, 3.3, "unexplained"),
-        (False, False, 0.1, "unexplained"),
+        (True, False, False, 3.3, "effect_found"),
+        (True, False, False, 3.4, "unexplained"),
+        (True, True, False, 3.3, "unexplained"),
+        (False, False, False, 0.1, "unexplained"),
+        (True, False, True, 9.9, "effect_found"),
+        (True, True, True, 9.9, "unexplained"),
+        (False, False, True, 9.9, "unexplained"),
     ],
 )
 def test_the_verdict_where_an_error_remains(
-    any_effect: bool, runs_differ: bool, wide: float, verdict: Verdict
+    any_effect: bool, runs_differ: bool, voltages: bool, wide: float, verdict: Verdict
 ) -> None:
     partial = PartialEvidence((error(wide), error(10.0)), (10.0, 10.0))
-    decided, reason = judge.verdict_of_rest(any_effect, lambda: runs_differ, lambda: partial, CRITERIA)
+    decided, reason = judge.verdict_of_rest(
+        any_effect, lambda: runs_differ, voltages, lambda: partial, CRITERIA
+    )
     assert decided == verdict
     assert bool(reason) == (verdict == "unexplained")
 
