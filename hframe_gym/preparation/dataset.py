@@ -7,6 +7,7 @@ encoder was switched on, and common to all runs in which it stayed on.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -20,11 +21,14 @@ from ..machine import Machine
 from .clock_voltages import ClockVoltages, with_clock_voltages
 from .encoder_zeros import EncoderZeros
 from .initial_state import model_initial_states
-from .interpolated_voltages import Interpolation, update_times, updated_inputs
+from .interpolated_voltages import Interpolation, mean_inputs, update_times, updated_inputs
 from .rest_measurement import InitialState
 from .sensor_zeros import max_zero_means
 
 MIN_ROWS = 20  # rows of a run that the filters of the residual need
+# Part of the intervals between rows that integration steps divide as intended; where rows were lost, they are longer.
+_REGULAR = 0.95
+_SAME_STEP = 1e-6  # of a step, by which rounding may lengthen an interval; the integrator allows the same
 _STEADY_SPEED = 10.0  # times the noise or step of a sensor of speeds; an offset at standstill is smaller
 
 
@@ -60,6 +64,20 @@ class RunObserver(NamedTuple):
 
     bandwidth: float
     inflation: float = 1.0
+
+
+class HeldVoltages(NamedTuple):
+    """Voltages of n rows that are held from one time to the next, with m = (n - 1) * `per_row` + 1 times.
+
+    Attributes:
+        time_s: Times, s, shape (m,).
+        inputs: Voltages from then on, V, shape (..., m, drives).
+        per_row: Times from one row to the next.
+    """
+
+    time_s: Array
+    inputs: Array
+    per_row: int
 
 
 @dataclass(frozen=True)
@@ -144,28 +162,38 @@ class PreparedRecording:
         """Return the voltages of the rows without the answers to the jitter of the clock, V, shape (n, drives)."""
         return self.inputs if self.clock_voltages is None else self.inputs - self.clock_voltages.answers
 
-    @cached_property
-    def held_voltages(self) -> tuple[Array, Array]:
-        """Times at which the voltages change, s, shape (m,), and the voltages from then on, V, shape (m, drives)."""
-        return self.held(self.inputs)
+    def held(self, step_s: float, inputs: Array | None = None) -> HeldVoltages:
+        """Return voltages that are held from one time to the next: from row to row, or between the rows too.
 
-    def held(self, inputs: Array) -> tuple[Array, Array]:
-        """Return the times at which voltages change, and the voltages from then on: in the rows, or between them too.
+        Voltages that change inside an integration step act by their mean over it, to second order of its length.
 
         Args:
-            inputs: Voltages in the rows, V, shape (..., n, drives).
-
-        Returns:
-            Times, s, shape (m,), and voltages, V, shape (..., m, drives), with m = (n - 1) * `updates` + 1.
+            step_s: Longest integration step, s.
+            inputs: Voltages in the rows, V, shape (..., n, drives). Default: those of the run.
         """
         if self.updates == 1:
-            return self.time_s, inputs
+            return HeldVoltages(self.time_s, self.inputs if inputs is None else inputs, 1)
+        interval = float(np.quantile(np.diff(self.time_s), _REGULAR))
+        per_row = min(max(1, math.ceil(interval / step_s - _SAME_STEP)), self.updates)
+        if inputs is not None:
+            return self._held(per_row, inputs)
+        if per_row not in self._held_by_number:
+            self._held_by_number[per_row] = self._held(per_row, self.inputs)
+        return self._held_by_number[per_row]
+
+    @cached_property
+    def _held_by_number(self) -> dict[int, HeldVoltages]:
+        """Voltages of the run, by the number of their changes from row to row."""
+        return {}
+
+    def _held(self, per_row: int, inputs: Array) -> HeldVoltages:
+        """Return interpolated voltages with up to `updates` changes from row to row."""
         if self.clock_voltages is not None:
             inputs = with_clock_voltages(inputs, self.clock_voltages, self.time_s, self.updates)
-        return (
-            update_times(self.time_s, self.updates),
-            updated_inputs(self.time_s, inputs, self.updates, self.interpolation),
-        )
+        changing = updated_inputs(self.time_s, inputs, self.updates, self.interpolation)
+        if per_row < self.updates:
+            changing = mean_inputs(changing, self.updates, per_row)
+        return HeldVoltages(update_times(self.time_s, per_row), changing, per_row)
 
     def initial_state(self, machine: Machine) -> Array:
         """Return the state from which a machine is simulated over this run.

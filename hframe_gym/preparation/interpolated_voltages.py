@@ -57,3 +57,25 @@ def updated_inputs(
     """
     axis = np.ndim(inputs) - 2
     return np.asarray(_INTERPOLATORS[interpolation](time_s, inputs, axis=axis)(update_times(time_s, updates)))
+
+
+def mean_inputs(inputs: Array, updates: int, parts: int) -> Array:
+    """Return the means of inputs over equal parts of the time from row to row.
+
+    Args:
+        inputs: Inputs at `update_times`, each held until the next, V, shape (..., (n - 1) * `updates` + 1, drives).
+        updates: Changes of the inputs from one row to the next.
+        parts: Parts from one row to the next.
+
+    Returns:
+        Means, V, shape (..., (n - 1) * `parts` + 1, drives); the last one is the input of the last row.
+    """
+    # Time integral of each change up to the end of each part, in parts.
+    ends = np.arange(parts + 1)[:, None] / parts * updates
+    until = np.clip(ends - np.arange(updates), 0.0, 1.0) * (parts / updates)
+    means = np.diff(until, axis=0) @ inputs[..., :-1, :].reshape(
+        *inputs.shape[:-2], -1, updates, inputs.shape[-1]
+    )
+    return np.concatenate(
+        [means.reshape(*inputs.shape[:-2], -1, inputs.shape[-1]), inputs[..., -1:, :]], axis=-2
+    )

@@ -170,7 +170,7 @@ def _observed_force(
 
 def _errors(machine: Machine, run: PreparedRecording, data: Dataset, bandwidth: float) -> Array:
     """Return measured minus predicted values, in the sensors' units, shape (n, sensors)."""
-    motion = predict(machine, run, bandwidth, period=data.period, longest_step=search_step(bandwidth))
+    motion = predict(machine, run, bandwidth, period=data.period, longest_step=search_step(bandwidth, data))
     return np.asarray(prediction_error(run, data, motion.readings)[0])
 
 
@@ -183,7 +183,7 @@ def _errors_from_probable_start(
     """
     start = uncertain_starts(machine, [run])[run.name]
     motion = predict_with_displaced_starts(
-        machine, run, bandwidth, start, period=data.period, longest_step=search_step(bandwidth)
+        machine, run, bandwidth, start, period=data.period, longest_step=search_step(bandwidth, data)
     )
     errors = prediction_error(run, data, motion.readings)
     residual = whitened(residuals(run, data, motion.readings), run, bandwidth)

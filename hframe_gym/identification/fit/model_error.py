@@ -60,16 +60,20 @@ _MIN_RUNS, _PIECES = 4, 8  # fewer runs are divided into that many pieces for cr
 _SEARCH_STEP_NARROW = 0.25e-3  # s; with a narrow observer, the errors of longer integration steps accumulate
 
 
-def search_step(bandwidth: float) -> float:
+def search_step(bandwidth: float, data: Dataset) -> float:
     """Return the integration step that suffices in the search for effects.
 
     Args:
         bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
+        data: Runs to predict.
 
     Returns:
-        Maximum integration step, s: 0.5 ms at 60 rad/s; 0.25 ms below, where integration errors accumulate.
+        Maximum integration step, s: 0.5 ms at 60 rad/s; 0.25 ms below, where integration errors accumulate. With an
+        observer, 0.5 ms also where voltages are interpolated, whose errors are so much larger that chi-squared per
+        sample changes by 0.0002.
     """
-    return SEARCH_STEP if bandwidth >= SEARCH_BANDWIDTH else _SEARCH_STEP_NARROW
+    uncertain = data.has_voltage_errors and bandwidth >= NARROWEST_WITH_VOLTAGE_ERRORS
+    return SEARCH_STEP if uncertain or bandwidth >= SEARCH_BANDWIDTH else _SEARCH_STEP_NARROW
 
 
 def bandwidths_for(data: Dataset) -> tuple[float, ...]:
@@ -416,5 +420,5 @@ def continue_fit(fitted: Fit, data: Dataset, bandwidth: float, *, goal: float = 
     Returns:
         Fit with the step of `search_step`.
     """
-    start, step = (fitted.machine, fitted.free, data, bandwidth), search_step(bandwidth)
+    start, step = (fitted.machine, fitted.free, data, bandwidth), search_step(bandwidth, data)
     return fit(*start, theta=fitted.theta, longest_step=step, goal=goal)

@@ -140,7 +140,7 @@ class _LinearizedFits:
         self._known: dict[tuple[int, ...], tuple[float, Array]] = {}  # results of `loss`
 
     def _at(self, bandwidth: float, data: Dataset) -> tuple[NormalEquations, ...]:
-        step = search_step(bandwidth)
+        step = search_step(bandwidth, data)
         model = ResidualModel(self._fitted.machine, self._fitted.free, data, bandwidth, step)
         return model.linearize(self._fitted.theta).by_run
 

@@ -209,7 +209,7 @@ def most_updates(data: Dataset) -> int:
     Returns:
         The number, from 1 to 20; 1 if the rows follow each other as fast as these steps.
     """
-    return min(max(round(data.period / search_step(SIMULATION)), 1), _MOST_UPDATES)
+    return min(max(round(data.period / search_step(SIMULATION, data)), 1), _MOST_UPDATES)
 
 
 def successive_changes(data: Dataset) -> float:

@@ -247,19 +247,20 @@ def predict(
         measured = measurements_from(starts[0], machine, run)
         measured = measured if varying is None else measured - varying
         gains = observer_gains(machine, period, bandwidth)
-    time_s, inputs = run.held_voltages if inputs is None else run.held(inputs)
+    step = resolved_step(machine, longest_step)
+    voltages = run.held(step, inputs)
     motion = simulate_batch(
         machine,
-        time_s,
-        inputs,
+        voltages.time_s,
+        voltages.inputs,
         parameters=parameters,
         start=starts,
         extra_force=extra_force,
         measured=measured,
         gains=gains,
         offsets=extra_measurement if constant else None,
-        longest_step=resolved_step(machine, longest_step),
-        every=run.updates,
+        longest_step=step,
+        every=voltages.per_row,
         states=states,
         parallel=False,
     )

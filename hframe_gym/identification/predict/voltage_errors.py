@@ -27,7 +27,6 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.linalg import solve_triangular
 from scipy.ndimage import uniform_filter1d
 from typing_extensions import override
 
@@ -36,6 +35,7 @@ from ...machine import Machine
 from ...preparation.dataset import Dataset, PreparedRecording, VoltageErrors
 from .prediction import (
     POLISH_STEP,
+    SEARCH_STEP,
     SIMULATION,
     map_runs,
     predict,
@@ -57,8 +57,8 @@ _LARGEST_RESPONSE = 1e9  # noise per volt
 # apart remain slightly correlated, which costs 0.001 of the logarithm of the likelihood per value at 250 Hz (0.02 where
 # friction holds the machine); a factor of the whole covariance has 29 MB per 1500 rows at 15 rad/s. The memory for each
 # observer, 4 bytes * (8 + 16) * sensors^2 a row, permits long sessions: 0.5 GB for 300,000 rows of four sensors.
-_BLOCK, _BEFORE = 8, 16
-_BLOCKS_TOGETHER = 128  # blocks that are whitened in one product; limits the memory of copies
+_BLOCK, _BEFORE = 8, 16  # two blocks
+_BLOCKS_TOGETHER = 128  # blocks that are factorized, or whitened in one product; limits the memory
 _DRAWS = 8  # of voltage errors, for their effect on simulations: their rms is 15 % accurate in a run
 
 
@@ -173,21 +173,17 @@ class Whitening(NamedTuple):
             variance: Variance of the innovations of each sensor, dimensionless, shape (sensors,).
         """
         sensors = len(variance)
-        rows = responses.shape[0] // sensors
-        begins = range(0, rows, _BLOCK)
-        factors = np.zeros((len(begins), _BLOCK * sensors, (_BEFORE + _BLOCK) * sensors), np.float32)
-        log_variance = np.zeros(rows * sensors)
-        for of_block, begin in zip(factors, begins, strict=True):
-            first, end = max(0, begin - _BEFORE), min(begin + _BLOCK, rows)
-            affecting = _dense(responses[first * sensors : end * sensors])
-            covariance = affecting @ affecting.T + np.diag(np.tile(variance, end - first))
-            root = np.linalg.cholesky(covariance)
-            known, new = (begin - first) * sensors, (end - begin) * sensors
-            inverse = solve_triangular(root, np.eye(known + new), lower=True, check_finite=False)[known:]
-            last = (_BEFORE + end - begin) * sensors
-            of_block[:new, last - known - new : last] = inverse
-            log_variance[begin * sensors : end * sensors] = 2.0 * np.log(np.diag(root)[known:])
-        return cls(factors, log_variance.reshape(rows, sensors))
+        values, count = responses.shape[0], _BLOCK * sensors
+        factors = np.zeros((-(-values // count), count, (_BEFORE + _BLOCK) * sensors), np.float32)
+        log_variance = np.zeros((len(factors), count))
+        for first in range(0, len(factors), _BLOCKS_TOGETHER):
+            part = slice(first, first + _BLOCKS_TOGETHER)
+            root = np.linalg.cholesky(_covariances(responses, variance, first, len(factors[part])))
+            unit = np.eye(root.shape[1])[:, -count:]
+            inverse = np.linalg.solve(root.swapaxes(1, 2), np.broadcast_to(unit, (len(root), *unit.shape)))
+            factors[part] = inverse.swapaxes(1, 2)
+            log_variance[part] = 2.0 * np.log(np.diagonal(root, axis1=1, axis2=2)[:, -count:])
+        return cls(factors, log_variance.reshape(-1, sensors)[: values // sensors])
 
     def __call__(self, residual: Array) -> Array:
         """Return white residuals of a batch of predictions, shape (batch, n * sensors), like the given ones."""
@@ -206,13 +202,33 @@ class Whitening(NamedTuple):
         return white
 
 
-def _dense(rows: sparse.csr_array) -> Array:
-    """Return some rows of a sparse matrix as a dense one, without the columns before the first and after the last."""
-    if not rows.nnz:
-        return np.zeros((rows.shape[0], 1))
-    first, last = rows.indices.min(), rows.indices.max()
-    shape = rows.shape[0], last + 1 - first
-    return np.asarray(sparse.csr_array((rows.data, rows.indices - first, rows.indptr), shape=shape).toarray())
+def _covariances(responses: sparse.csr_array, variance: Array, first: int, blocks: int) -> Array:
+    """Return the covariances of some blocks of a residual and the rows before each, (blocks, values, values).
+
+    Rows outside the run are independent of all others.
+    """
+    count, before = _BLOCK * len(variance), _BEFORE // _BLOCK
+    begin = first - before
+    known = responses[max(begin, 0) * count : (first + blocks) * count].tocoo()
+    block, value = np.divmod(known.row + (max(begin, 0) - begin) * count, count)
+    # Errors are counted from the first one of each block; those before it are few.
+    step = _BLOCK * (responses.shape[1] // max(responses.shape[0] // len(variance) - 1, 1))
+    error = known.col - (block + begin) * step
+    earliest = error.min(initial=0)
+    dense = np.zeros((before + blocks, count, error.max(initial=0) + 1 - earliest))
+    dense[block, value, error - earliest] = known.data
+    covariances = np.zeros((blocks, before + 1, count, before + 1, count))
+    for apart in range(before + 1):
+        common = max(dense.shape[2] - apart * step, 0)
+        later, earlier = dense[apart:, :, :common], dense[: len(dense) - apart, :, apart * step :]
+        products = later @ earlier.swapaxes(1, 2)
+        for k in range(before + 1 - apart):
+            covariances[:, k + apart, :, k] = products[k : k + blocks]
+            covariances[:, k, :, k + apart] = products[k : k + blocks].swapaxes(1, 2)
+    size = (before + 1) * count
+    covariances = covariances.reshape(blocks, size, size)
+    covariances[:, np.arange(size), np.arange(size)] += np.tile(variance, (before + 1) * _BLOCK)
+    return covariances
 
 
 class InterpolationErrors(VoltageErrors):
@@ -282,7 +298,14 @@ class InterpolationErrors(VoltageErrors):
         """
         intervals = np.arange(len(self._run.time_s) - 1)
         per_volt, _ = voltage_responses(
-            self._machine, self._run, self._data, intervals, bandwidth, per_block=1, settled=_SETTLED
+            self._machine,
+            self._run,
+            self._data,
+            intervals,
+            bandwidth,
+            per_block=1,
+            settled=_SETTLED,
+            longest_step=SEARCH_STEP,  # errors of voltages are known within a factor of four
         )
         # Where the machine diverges, its residual is infinite anyway; responses must not make the covariance so.
         per_volt.data[~(np.abs(per_volt.data) < _LARGEST_RESPONSE)] = 0.0

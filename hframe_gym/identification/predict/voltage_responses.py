@@ -35,6 +35,7 @@ def voltage_responses(
     *,
     per_block: int | None = None,
     settled: float = SETTLED,
+    longest_step: float = POLISH_STEP,
     most_values: int = _VALUES,
 ) -> tuple[sparse.csr_array, Array]:
     """Return the derivative of the residual with respect to the voltages in some rows, and the residual.
@@ -50,6 +51,7 @@ def voltage_responses(
         bandwidth: Bandwidth of the observer that corrects the prediction, rad/s.
         per_block: Rows of the residual that are combined into one. Default: those within 4 ms.
         settled: Product of bandwidth and time after which a response counts as corrected, dimensionless.
+        longest_step: Maximum integration step, s.
         most_values: Measurements that are predicted together, at most, unless one perturbation has more.
 
     Returns:
@@ -70,7 +72,7 @@ def voltage_responses(
 
     def predicted(inputs: Array) -> Array:
         """Return residuals for several histories of the voltages, shape (histories, blocks, sensors)."""
-        motion = predict(machine, run, bandwidth, period=data.period, inputs=inputs, longest_step=POLISH_STEP)
+        motion = predict(machine, run, bandwidth, period=data.period, inputs=inputs, longest_step=longest_step)
         return residuals(run, data, motion.readings, per_block).reshape(len(inputs), blocks, sensors) * scales
 
     residual = predicted(run.inputs[None])[0]

@@ -304,7 +304,7 @@ def fit_in_place_of(
     names, scales, step = (
         {f.name for f in kept},
         typical_scales(current, data),
-        search_step(current.bandwidth),
+        search_step(current.bandwidth, data),
     )
     added = [f for f in effect_parameters(rival, machine, scales) if f.name not in names]
     theta = np.concatenate([kept_theta, np.zeros(len(added))])
@@ -415,7 +415,7 @@ def _trial_fit(
         theta=theta,
         iterations=_TRIAL_ITERATIONS,
         tolerance=_TRIAL_TOLERANCE,
-        longest_step=search_step(current.bandwidth),
+        longest_step=search_step(current.bandwidth, data),
         goal=goal,
     )
 

@@ -96,7 +96,7 @@ def test_the_residue_is_the_correction_beyond_that_of_noise(axis_data: Dataset, 
     pushed = fit_with(PUSH, chi2=1.0, bandwidth=bandwidth)
     data = dataclasses.replace(axis_data, runs=(run,))
     used = max(bandwidth, 3.0)
-    motion = predict(pushed.machine, run, used, period=data.period, longest_step=search_step(used))
+    motion = predict(pushed.machine, run, used, period=data.period, longest_step=search_step(used, data))
     innovation = prediction_error(run, data, motion.readings)[0]  # without the error of the sensor's zero
     measured = np.isfinite(run.outputs)
     power = np.sum((innovation**2 - run.noise**2)[measured]) / len(innovation)

@@ -141,8 +141,8 @@ def test_true_fits_confirm_what_the_linear_model_does_where_it_holds(axis: Machi
 
 
 def test_a_narrow_observer_needs_short_steps() -> None:
-    assert model_error.search_step(60.0) == model_error.SEARCH_STEP
-    assert model_error.search_step(30.0) == model_error.search_step(0.0) == 0.25e-3
+    assert model_error.search_step(60.0, DATA) == model_error.SEARCH_STEP
+    assert model_error.search_step(30.0, DATA) == model_error.search_step(0.0, DATA) == 0.25e-3
 
 
 def test_a_fit_in_simulation_needs_no_other_observer() -> None:
