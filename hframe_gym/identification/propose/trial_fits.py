@@ -15,8 +15,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ...arrays import Array
+from ...dynamics.simulation import Motion
 from ...machine import AppliedEffect, Machine
-from ...preparation.dataset import Dataset
+from ...preparation.dataset import Dataset, PreparedRecording
 from ..budget import spend
 from ..fit.estimation import Fit, fit, prediction_cost
 from ..fit.force_sizes import effect_force, residue_force
@@ -25,15 +26,21 @@ from ..fit.typical_scales import TypicalScales, typical_scales
 from ..judge import trial as judge
 from ..judge.criteria import SelectionCriteria
 from ..judge.error import FitError
-from ..predict.free_parameters import FreeParameter, default_free_parameters, values_at
-from ..predict.prediction import POLISH_STEP, SEARCH_BANDWIDTH, SIMULATION
+from ..predict.free_parameters import (
+    FreeParameter,
+    default_free_parameters,
+    prior_precision,
+    values_at,
+)
+from ..predict.linearization import ResidualModel
+from ..predict.prediction import POLISH_STEP, SEARCH_BANDWIDTH, SIMULATION, predict
 from .candidates import Candidate, SearchState, candidates, effect_parameters, is_required
 from .screening import Resemblance, ScoredCandidate, Screening, screen_structures
 
 # Effects that are fitted in place of a selected one because these runs may not distinguish them.
 _RESEMBLING = 3
 _SHAPES = 2  # starting values of an effect at a site that are fitted
-# Changes of the logarithm of a threshold; a trial is also fitted from these thresholds.
+# Changes of the logarithm of a threshold; a trial is also fitted from the one that promises most, if it does.
 _THRESHOLD_CHANGES = (-0.7, -0.35, 0.35, 0.7)
 _TRIAL_ITERATIONS, _TRIAL_TOLERANCE = 8, 1e-3  # a trial need not converge fully to be ranked
 
@@ -355,13 +362,46 @@ def fit_with_candidate(
     added = effect_parameters(machine.effects[-1], machine, scales)
     theta = np.concatenate([current.theta, [f.theta(machine.parameters[f.name]) for f in added]])
     free = (*current.free, *added)
-    # From a wrong threshold, other parameters may imitate what the right one does.
-    switches = [j for j, f in enumerate(free) if f in added and f.switch]
     best = _trial_fit(machine, free, theta, current, data, goal=goal)
-    for moved in (theta + change * np.eye(len(free))[j] for j in switches for change in _THRESHOLD_CHANGES):
-        trial = _trial_fit(machine, free, moved, current, data, goal=min(goal, best.cost))
-        best = min(best, trial, key=lambda each: each.cost)
+    for j in (j for j, f in enumerate(free) if f in added and f.switch):
+        moved = _other_threshold(best, j, data)
+        if moved is not None:
+            trial = _trial_fit(machine, free, moved, current, data, goal=min(goal, best.cost))
+            best = min(best, trial, key=lambda each: each.cost)
     return best
+
+
+def _other_threshold(fitted: Fit, j: int, data: Dataset) -> Array | None:
+    """Return theta with another threshold j if that promises a lower cost; None if none does.
+
+    From a wrong threshold, other parameters may imitate what the right one does. What they may make up for at each of
+    some thresholds is therefore left out, to first order.
+    """
+    if not math.isfinite(fitted.cost):
+        return None
+    model = ResidualModel(fitted.machine, fitted.free, data, fitted.bandwidth, fitted.longest_step)
+    moved = fitted.theta + np.outer(_THRESHOLD_CHANGES, np.eye(len(fitted.free))[j])
+    point = model.at(fitted.theta)
+
+    def changes(run: PreparedRecording, motion: Motion) -> Array:
+        there = predict(
+            point.machine,
+            run,
+            model.bandwidth,
+            period=data.period,
+            parameters=model.parameters(moved),
+            initial_state=point.starts[run.name].state,
+            longest_step=model.longest_step,
+        )
+        return model.residuals(run, there.readings) - model.residuals(run, motion.readings)
+
+    equations = model.linearize(fitted.theta, changes).normal_equations
+    others = np.arange(len(fitted.free)) != j
+    equations = equations.of_some(others, slice(None))
+    precision = prior_precision(fitted.free)[np.ix_(others, others)]
+    costs = [equations.with_added(k).least_cost(precision) for k in range(len(moved))]
+    best = int(np.argmin(np.nan_to_num(costs, nan=math.inf)))
+    return moved[best] if costs[best] < fitted.cost else None
 
 
 def _replace(current: Fit, machine: Machine, scales: TypicalScales, data: Dataset, goal: float) -> Fit:
