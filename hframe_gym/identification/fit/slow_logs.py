@@ -194,7 +194,9 @@ class _Models(NamedTuple):
         smooth = dataclasses.replace(data, runs=tuple(map(_smoothed, data.runs)))
         return cls(
             *(
-                ResidualModel(fitted.machine, fitted.free, d, SEARCH_BANDWIDTH, search_step(SEARCH_BANDWIDTH, d))
+                ResidualModel(
+                    fitted.machine, fitted.free, d, SEARCH_BANDWIDTH, search_step(SEARCH_BANDWIDTH, d)
+                )
                 for d in (data, smooth)
             )
         )

@@ -213,7 +213,8 @@ def predict(
 ) -> Motion:
     """Predict the measurements of a run, for several sets of parameters, perturbations or initial states at once.
 
-    Voltages are held from row to row, or interpolated if the run has more than one update a row.
+    Voltages are held from row to row, or interpolated if the run has more than one update a row. Of those that change
+    inside an integration step, the mean acts.
 
     Args:
         machine: Machine that predicts; its effects also determine the initial state.

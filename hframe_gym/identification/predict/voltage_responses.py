@@ -72,7 +72,9 @@ def voltage_responses(
 
     def predicted(inputs: Array) -> Array:
         """Return residuals for several histories of the voltages, shape (histories, blocks, sensors)."""
-        motion = predict(machine, run, bandwidth, period=data.period, inputs=inputs, longest_step=longest_step)
+        motion = predict(
+            machine, run, bandwidth, period=data.period, inputs=inputs, longest_step=longest_step
+        )
         return residuals(run, data, motion.readings, per_block).reshape(len(inputs), blocks, sensors) * scales
 
     residual = predicted(run.inputs[None])[0]

@@ -145,6 +145,12 @@ def test_a_narrow_observer_needs_short_steps() -> None:
     assert model_error.search_step(30.0, DATA) == model_error.search_step(0.0, DATA) == 0.25e-3
 
 
+def test_errors_of_voltages_are_larger_than_those_of_steps() -> None:
+    data = SimpleNamespace(has_voltage_errors=True)
+    assert model_error.search_step(15.0, data) == model_error.SEARCH_STEP
+    assert model_error.search_step(0.0, data) == 0.25e-3  # nothing corrects errors of the steps
+
+
 def test_a_fit_in_simulation_needs_no_other_observer() -> None:
     simulated = fit_with(chi2=2.0, bandwidth=0.0)
     assert model_error.fit_with_model_error(simulated, DATA) is simulated

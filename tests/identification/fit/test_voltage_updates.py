@@ -24,7 +24,7 @@ from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH, SIMUL
 from hframe_gym.identification.predict.voltage_errors import with_voltage_errors
 from hframe_gym.identification.validate.recording_simulation import simulate_recording
 from hframe_gym.machine import BUILTIN_MACHINES
-from hframe_gym.preparation.interpolated_voltages import update_times, updated_inputs
+from hframe_gym.preparation.interpolated_voltages import mean_inputs, update_times, updated_inputs
 from hframe_gym.recordings import Recording
 from tests.identification.controlled_runs import PERIOD, controlled_run, every, random_places
 
@@ -213,3 +213,38 @@ def test_interpolated_inputs_keep_the_rows_and_do_not_overshoot_a_jump() -> None
     assert between[::3] == pytest.approx(inputs)
     assert np.all((between >= -1e-12) & (between <= 3.0 + 1e-12))
     assert update_times(time_s, 3)[6:10] == pytest.approx([2.0, 2.5, 3.0, 3.5])
+
+
+@pytest.mark.parametrize(
+    ("updates", "parts", "means"),
+    [(4, 4, [0.0, 4.0, 8.0, 12.0]), (4, 2, [2.0, 10.0]), (4, 1, [6.0]), (2, 3, [0.0, 4.0, 8.0])],
+)
+def test_voltages_act_by_their_means_over_the_parts_of_a_row(
+    updates: int, parts: int, means: list[float]
+) -> None:
+    changing = {4: [0.0, 4.0, 8.0, 12.0], 2: [0.0, 8.0]}[updates]
+    inputs = np.array([*changing, *np.add(changing, 100.0), 5.0])[:, None]
+    expected = [*means, *np.add(means, 100.0), 5.0]
+    assert mean_inputs(inputs, updates, parts)[:, 0] == pytest.approx(expected)
+    both = mean_inputs(np.array([inputs, -inputs]), updates, parts)
+    assert both[1, :, 0] == pytest.approx(np.negative(expected))
+
+
+def test_long_steps_predict_what_short_ones_do_where_voltages_change_inside_them() -> None:
+    run = slow_log(4).with_updates(16).runs[0]
+    assert [run.held(step).per_row for step in (10e-3, 1e-3, 0.125e-3)] == [1, 4, 16]
+    coarse, fine = (
+        predict(RIG, run, SIMULATION, period=4e-3, longest_step=step).readings for step in (1e-3, 0.25e-3)
+    )
+    held = predict(RIG, dataclasses.replace(run, updates=1), SIMULATION, period=4e-3).readings
+    assert np.abs(coarse - fine).max() < 0.02 * np.abs(held - fine).max()
+
+
+def test_rows_that_a_clock_moves_or_a_logger_loses_take_no_more_steps() -> None:
+    run = slow_log(4).with_updates(16).runs[0]
+    late = np.where(np.arange(len(run.time_s)) > 100, 0.02, 0.0)  # s
+    assert dataclasses.replace(run, time_s=run.time_s + late).held(1e-3).per_row == 4
+    jitter = np.random.default_rng(0).uniform(-1e-5, 1e-5, len(run.time_s))
+    jittering = dataclasses.replace(run, time_s=run.time_s + jitter).held(1e-3)
+    assert jittering.per_row == 5
+    assert np.mean(np.diff(jittering.time_s) <= 1e-3) > 0.94

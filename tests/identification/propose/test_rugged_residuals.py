@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -9,12 +11,13 @@ from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset, Fit, default_free_parameters, fit, prepare
 from hframe_gym.identification.fit.covariance import with_uncertainty
+from hframe_gym.identification.fit.estimation import prediction_cost
 from hframe_gym.identification.fit.typical_scales import typical_scales
 from hframe_gym.identification.judge.criteria import SelectionCriteria
 from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH
 from hframe_gym.identification.propose.candidates import Candidate, effect_parameters
 from hframe_gym.identification.propose.screening import screen_structures
-from hframe_gym.identification.propose.trial_fits import trial_fits
+from hframe_gym.identification.propose.trial_fits import _other_threshold, trial_fits
 from hframe_gym.machine import BUILTIN_MACHINES, AppliedEffect, Belt, Coordinate, Machine
 from hframe_gym.recordings import Recording
 
@@ -56,6 +59,28 @@ def test_a_fit_finds_a_threshold(switching: tuple[Machine, Dataset], start: floa
     fitted = fit_threshold(*switching, start)
     assert fitted.chi2 < 1.1
     assert fitted.values["dead_band@motor.Vd"] == pytest.approx(THRESHOLD, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("there", "promising"), [(THRESHOLD, ""), (2.0 * THRESHOLD, "smaller"), (0.5 * THRESHOLD, "larger")]
+)
+def test_another_threshold_is_fitted_only_where_it_promises_less_error(
+    switching: tuple[Machine, Dataset], there: float, promising: str
+) -> None:
+    fitted = fit_threshold(*switching, 0.7)
+    names = [f.name for f in fitted.free]
+    j = names.index("dead_band@motor.Vd")
+    theta = fitted.theta.copy()
+    theta[j] = fitted.free[j].theta(there)
+    machine = fitted.machine.replace({names[j]: there})
+    cost = prediction_cost(machine, switching[1], SEARCH_BANDWIDTH)
+    moved = _other_threshold(
+        dataclasses.replace(fitted, machine=machine, theta=theta, cost=cost), j, switching[1]
+    )
+    assert (moved is None) == (promising == "")
+    if moved is not None:
+        assert (moved[j] < theta[j]) == (promising == "smaller")
+        assert np.delete(moved, j) == pytest.approx(np.delete(theta, j))
 
 
 def test_a_fit_finds_a_limit_that_the_declared_machine_does_not_reach() -> None:
