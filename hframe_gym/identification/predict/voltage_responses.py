@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import deque
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
@@ -79,11 +81,7 @@ def voltage_responses(
 
     residual = predicted(run.inputs[None])[0]
     begins, ends = rows // per_block, np.minimum(-(-(rows + length) // per_block), blocks)
-    indices = [
-        np.arange(begin * sensors, end * sensors, dtype=np.int32)  # half the memory of the default
-        for begin, end in zip(begins, ends, strict=True)
-    ]
-    pointers = np.concatenate([[0], np.cumsum([len(of_row) for of_row in indices for _ in range(drives)])])
+    pointers = np.concatenate([[0], np.cumsum(np.repeat((ends - begins) * sensors, drives))])
     values = np.zeros(pointers[-1])
     together = _groups_together(most_values, run.outputs.size * drives)
     for first in range(0, int(groups.max()) + 1, together):
@@ -95,7 +93,9 @@ def voltage_responses(
         for k, of_row in zip(members, predictions, strict=True):
             response = responses[of_row, begins[k] : ends[k]] / pulses[k]  # (drives, blocks, sensors)
             values[pointers[k * drives] : pointers[(k + 1) * drives]] = response.ravel()
-    positions = np.concatenate([of_row for of_row in indices for _ in range(drives)])
+    firsts = np.repeat(begins * sensors, drives) - pointers[:-1]
+    positions = np.arange(pointers[-1], dtype=np.int32)  # half the memory of the default
+    positions += np.repeat(firsts, np.diff(pointers)).astype(np.int32)
     shape = (residual.size, len(rows) * drives)
     return sparse.csc_array((values, positions, pointers), shape=shape).tocsr(), residual.ravel()
 
@@ -122,9 +122,13 @@ def _response_length(
 
 def _groups(rows: Rows, length: int) -> tuple[Rows, Array]:
     """Return groups of rows that are at least a length apart, and pulses in alternating directions, V, (r,) each."""
-    groups, pulses, last = np.zeros(len(rows), dtype=int), np.zeros(len(rows)), list[tuple[int, float]]()
+    groups, pulses = np.zeros(len(rows), dtype=int), np.full(len(rows), _PULSE)
+    last = deque[int]()  # for each group, the index of its last row; the earliest first
     for k, row in enumerate(rows):
-        groups[k] = next((g for g, (previous, _) in enumerate(last) if row - previous >= length), len(last))
-        pulses[k] = -last[groups[k]][1] if groups[k] < len(last) else _PULSE
-        last[groups[k] : groups[k] + 1] = [(row, pulses[k])]
+        if last and row - rows[last[0]] >= length:
+            before = last.popleft()
+            groups[k], pulses[k] = groups[before], -pulses[before]
+        else:
+            groups[k] = len(last)
+        last.append(k)
     return groups, pulses
