@@ -226,9 +226,7 @@ def _covariances(responses: sparse.csr_array, variance: Array, first: int, block
             covariances[:, k + apart, :, k] = products[k : k + blocks]
             covariances[:, k, :, k + apart] = products[k : k + blocks].swapaxes(1, 2)
     size = (before + 1) * count
-    covariances = covariances.reshape(blocks, size, size)
-    covariances[:, np.arange(size), np.arange(size)] += np.tile(variance, (before + 1) * _BLOCK)
-    return covariances
+    return covariances.reshape(blocks, size, size) + np.diag(np.tile(variance, (before + 1) * _BLOCK))
 
 
 class InterpolationErrors(VoltageErrors):
