@@ -397,7 +397,7 @@ def _other_threshold(fitted: Fit, j: int, data: Dataset) -> Array | None:
 
     equations = model.linearize(fitted.theta, changes).normal_equations
     others = np.arange(len(fitted.free)) != j
-    equations = equations.of_some(others, slice(None))
+    equations = equations.of_some(others, np.arange(len(moved)))
     precision = prior_precision(fitted.free)[np.ix_(others, others)]
     costs = [equations.with_added(k).least_cost(precision) for k in range(len(moved))]
     best = int(np.argmin(np.nan_to_num(costs, nan=math.inf)))
@@ -522,9 +522,8 @@ def without_effect(
     kept = np.array([free.name in machine.parameters for free in current.free])
     free, theta = tuple(itertools.compress(current.free, kept)), current.theta[kept]
     if thorough:
-        near = fit(
-            machine, free, data, current.bandwidth, theta=theta, longest_step=search_step(current.bandwidth)
-        )
+        step = search_step(current.bandwidth, data)
+        near = fit(machine, free, data, current.bandwidth, theta=theta, longest_step=step)
         reduced = fit(machine, free, data, current.bandwidth, theta=near.theta, longest_step=POLISH_STEP)
     else:
         reduced = _trial_fit(machine, free, theta, current, data)
