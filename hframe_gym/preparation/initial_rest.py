@@ -24,14 +24,14 @@ _BLOCK_S, _MIN_BLOCKS = 0.01, 8
 _BLOCKS_AT_REST = 5  # This many blocks show that a run begins at rest, however long no voltage is applied.
 # Tolerances: how far the median of a block may depart from the blocks at rest before it counts as motion. They are wide
 # because a false motion costs the rest of a run, whereas true motion soon exceeds them.
-_NOISE_TOLERANCE = 8.0  # standard deviations of the noise of one sample
+NOISE_TOLERANCE = 8.0  # standard deviations of the noise of one sample
 # Multiple of the range of the medians at rest; slow noise varies by about as much everywhere.
 _RANGE_TOLERANCE = 3.0
 _SPAN_TOLERANCE = 1e-4  # fraction of the sensor's span in the run, whatever its noise
 _SLOW_NOISE_SPAN = 1e-3  # fraction of the span that slow noise of a filtered sensor may reach; more is motion
 # Fraction of its span in the run that a sensor of a speed may show at rest. Zeros of analog tachometers err by up to
 # 2 % of their range; more is motion.
-_SPEED_ZERO_ERROR = 0.02
+SPEED_ZERO_ERROR = 0.02
 
 
 class InitialRest(NamedTuple):
@@ -86,7 +86,7 @@ def _coasting(recording: Recording, machine: Machine, rest: InitialRest) -> NDAr
         return np.zeros(len(alone), np.bool_)
     tolerance, span = _tolerances(recording, rest.rows, machine)
     level = np.abs(_medians(recording.outputs[rest.first : rest.rows]))
-    return np.asarray(alone & (level > np.maximum(tolerance, _SPEED_ZERO_ERROR * span)))
+    return np.asarray(alone & (level > np.maximum(tolerance, SPEED_ZERO_ERROR * span)))
 
 
 def _constant_rows(recording: Recording, machine: Machine) -> InitialRest:
@@ -187,7 +187,7 @@ def _tolerances(recording: Recording, rows: int, machine: Machine) -> tuple[Arra
         measurement_noise(values[:of_noise], values, sensor)
         for values, sensor in zip(recording.outputs.T, machine.sensors, strict=True)
     ]
-    return np.maximum(_NOISE_TOLERANCE * np.array(noise), _SPAN_TOLERANCE * spans), spans
+    return np.maximum(NOISE_TOLERANCE * np.array(noise), _SPAN_TOLERANCE * spans), spans
 
 
 def measurement_noise(values: Array, run_values: Array, sensor: Sensor) -> float:

@@ -20,10 +20,10 @@ from ..arrays import Array
 from ..dynamics import simulate_batch
 from ..dynamics.physics.effect_instances import instances_with_state
 from ..machine import Machine, Sensor, commanded_state
-from ..recordings import Recording
+from ..recordings import Recording, peak_to_peak
 from .belt_stretch import rigid_basis, vibration_speeds
 from .encoder_zeros import EncoderZeros
-from .initial_rest import count_resting_rows, measurement_noise
+from .initial_rest import NOISE_TOLERANCE, SPEED_ZERO_ERROR, count_resting_rows, measurement_noise
 
 # Weights of encoders that matter only where no laser measures: behind stretched belts, and with an unknown zero.
 _STRETCHED_WEIGHT, _FALLBACK_WEIGHT = 1e-3, 1e-6
@@ -367,7 +367,8 @@ def initial_velocity(
     with each candidate. The one with the smallest sum of squared errors is chosen; others with at most twice this sum
     remain possible. The declared machine may be wrong; one that is far too light moves alike from any start. Therefore
     zero is not chosen where uniform motion at one of the velocities, without any machine, leaves less than half of the
-    squared errors of the simulation from rest.
+    squared errors of the simulation from rest, nor where a sensor of a speed shows motion in the first row, which
+    precedes what the input of that row causes.
 
     Args:
         recording: The run (times, s; voltages, V; measurements, m or rad, NaN where not measured).
@@ -407,6 +408,8 @@ def initial_velocity(
     simulated = _errors_of_starts(states, recording, machine, noise)
     uniform = _errors_of_uniform_motion(velocities[1:] @ sensor_of_motion.T, recording, machine, noise)
     costs, shown = _costs(simulated), sensor_of_motion.any(axis=1)
+    if _shows_speed(recording, machine, noise):
+        costs[0] = np.inf
     moves = _costs(uniform[:, :, shown]).min() < _CERTAIN_COST_RATIO * _costs(simulated[:1, :, shown])[0]
     best = int(np.argmin(costs[1:])) + 1 if moves else int(np.argmin(costs))
     possible = costs <= costs[best] / _CERTAIN_COST_RATIO  # all others are excluded
@@ -418,6 +421,13 @@ def initial_velocity(
     error = max(_MIN_ERROR * float(np.linalg.norm(velocities[best] * travel)), float(distance))  # m/s
     covariance = significant[max(best - 1, 0)][1] + np.diag((error / travel) ** 2)
     return InitialVelocity(rigid @ velocities[best], (rigid @ np.linalg.cholesky(covariance)).T)
+
+
+def _shows_speed(recording: Recording, machine: Machine, noise: Array) -> bool:
+    """Return whether a sensor of a speed shows more in the first row than its noise and the error of its zero."""
+    of_velocity = np.array([sensor.of_velocity for sensor in machine.sensors], np.bool_)
+    least = np.maximum(NOISE_TOLERANCE * noise, SPEED_ZERO_ERROR * peak_to_peak(recording.outputs))
+    return bool(np.any(of_velocity & (np.abs(recording.outputs[0]) > least)))
 
 
 def _rows_within(recording: Recording, seconds: float) -> int:

@@ -117,6 +117,22 @@ def test_a_declared_machine_that_is_far_too_light_does_not_hide_the_initial_velo
     assert velocity == pytest.approx(speed, abs=0.05 * abs(speed))
 
 
+@pytest.mark.parametrize("speed", [200.0, 100.0])
+def test_a_declared_machine_that_is_far_too_heavy_does_not_hide_a_reversal(speed: float) -> None:
+    """The motor is reversed within the rows from which the velocity is estimated, which the heavy one is not."""
+    declared = load_machine("motor")
+    declared = declared.replace(sensors=(Sensor("shaft_rad_s", {"shaft": 1.0}, noise=0.3, kind="speed"),))
+    shaft = declared.coordinates[0]
+    light = declared.replace({"shaft.mass": 4.0 * shaft.mass})
+    heavy = declared.replace({"shaft.mass": 150.0 * shaft.mass})
+    time_s = np.arange(400) / 465
+    volts = np.full((400, 1), -12.0)
+    outputs = light.simulate(time_s, volts, [0.0, speed]).outputs
+    noisy = outputs + np.random.default_rng(0).normal(0.0, 0.3, outputs.shape)
+    initial = estimate_initial_state(Recording("reversed", time_s, volts, noisy), heavy)
+    assert initial.velocity[0] == pytest.approx(speed, abs=0.15 * speed)
+
+
 def test_the_stretch_of_belts_does_not_depend_on_how_they_are_divided(hframe: Machine) -> None:
     """The 20th-order machine has more belt sections for the same stage."""
     finer = load_machine("hframe-order20")

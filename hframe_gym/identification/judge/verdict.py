@@ -336,14 +336,17 @@ def final_verdict(verdict: Verdict, *, any_effect: bool) -> Verdict:
 def is_worse_than(ratio: float, left: float, criteria: SelectionCriteria) -> bool:
     """Return whether a machine predicts the held-out runs worse than a simpler one: the plain fit, or the declared one.
 
-    What noise explains is no error: among machines that leave no more, the smaller error is chance.
+    What noise explains is hardly an error: among machines that leave no more, a somewhat smaller one is chance. The
+    noise is the same for both, so that it does not explain a clear difference.
 
     Args:
         ratio: Ratio of its simulation error to that of the simpler machine.
         left: Its simulation error in units of the noise; not a number if it diverges.
-        criteria: Decision thresholds `min_gain`, for the ratio of the squared errors, and `max_noise_ratio_explained`.
+        criteria: Decision thresholds `min_gain`, for the ratio of the squared errors, and `max_noise_ratio_explained`,
+            up to which they may differ by `AS_GOOD`.
     """
-    return ratio**2 > 1.0 + criteria.min_gain and not left <= criteria.max_noise_ratio_explained
+    as_good = AS_GOOD if left <= criteria.max_noise_ratio_explained else 1.0 + criteria.min_gain
+    return ratio**2 > as_good
 
 
 def forces_contradict(lacking: float, without: float) -> bool:

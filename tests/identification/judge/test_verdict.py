@@ -149,7 +149,8 @@ def test_effects_name_the_causes(matches: list[list[bool]], named: bool) -> None
         (5.7, 3.0, True),
         (1.004, 3.0, False),  # chance
         (1.006, 3.0, True),
-        (5.7, 1.9, False),  # what noise explains is no error
+        (1.09, 1.9, False),  # what noise explains is hardly an error
+        (1.1, 1.9, True),  # but the noise is the same for both
         (float("inf"), float("nan"), True),  # it diverges
     ],
 )
