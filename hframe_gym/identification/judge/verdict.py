@@ -337,7 +337,8 @@ def is_worse_than(ratio: float, left: float, criteria: SelectionCriteria) -> boo
     """Return whether a machine predicts the held-out runs worse than a simpler one: the plain fit, or the declared one.
 
     What noise explains is hardly an error: among machines that leave no more, a somewhat smaller one is chance. The
-    noise is the same for both, so that it does not explain a clear difference.
+    noise is the same for both, so that it does not explain a clear difference. An error below the noise counts as the
+    noise.
 
     Args:
         ratio: Ratio of its simulation error to that of the simpler machine.
@@ -345,8 +346,9 @@ def is_worse_than(ratio: float, left: float, criteria: SelectionCriteria) -> boo
         criteria: Decision thresholds `min_gain`, for the ratio of the squared errors, and `max_noise_ratio_explained`,
             up to which they may differ by `AS_GOOD`.
     """
-    as_good = AS_GOOD if left <= criteria.max_noise_ratio_explained else 1.0 + criteria.min_gain
-    return ratio**2 > as_good
+    if not left <= criteria.max_noise_ratio_explained:
+        return ratio**2 > 1.0 + criteria.min_gain
+    return ratio > 1.0 and max(left, 1.0) ** 2 > AS_GOOD * max(left / ratio, 1.0) ** 2
 
 
 def forces_contradict(lacking: float, without: float) -> bool:

@@ -406,7 +406,7 @@ class ModelSearch:
         if effects or self._explains(current):
             self._data_after = search.data
         if not effects and start is None and self._explains(current):
-            self.before, self._data = current, search.data
+            self.before, self._data = polish(current, search.data), search.data
         if not effects:
             return Found(current, (), tuple(search.considered.values()))
         search.reached = current, effects

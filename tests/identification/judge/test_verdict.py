@@ -151,6 +151,9 @@ def test_effects_name_the_causes(matches: list[list[bool]], named: bool) -> None
         (1.006, 3.0, True),
         (1.09, 1.9, False),  # what noise explains is hardly an error
         (1.1, 1.9, True),  # but the noise is the same for both
+        (4.7, 1.05, False),  # an error below the noise counts as the noise
+        (4.7, 1e-11, False),
+        (0.0, 1.0, False),  # the simpler machine diverges
         (float("inf"), float("nan"), True),  # it diverges
     ],
 )
