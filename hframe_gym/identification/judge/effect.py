@@ -13,7 +13,16 @@ from dataclasses import dataclass
 
 from .chance import LongRunVariance, chance_deviations, chance_gain, exceeds_chance
 from .criteria import SelectionCriteria
-from .error import CLEAR, FAR, FitError, Measured, is_enough, nearly_explains, required_gain
+from .error import (
+    CLEAR,
+    FAR,
+    FitError,
+    Measured,
+    is_enough,
+    nearly_explains,
+    required_gain,
+    voltages_may_cause,
+)
 
 # Relative distance from the limit of a parameter's range within which a value is at the limit; fits end there within
 # rounding errors, or within the tolerance of a logarithmic parameter.
@@ -181,15 +190,16 @@ class EffectEvidence:
 def enough_gain(error: FitError, criteria: SelectionCriteria, *, voltages_known: bool) -> float:
     """Return the smallest reduction of chi-squared per sample, dimensionless, for which an effect is selected.
 
-    Unknown voltages between the rows may cause all of the error beyond the noise, so that a right effect need not
-    remove a fraction of it. The other tests decide then.
+    Where unknown voltages between the rows may cause all of the error beyond the noise, a right effect need not remove
+    a fraction of it. The other tests decide then.
 
     Args:
         error: Error without the effect, or with it.
-        criteria: Decision thresholds `min_gain` and `min_gain_fraction`.
+        criteria: Decision thresholds `min_gain`, `min_gain_fraction` and `explained_chi2`.
         voltages_known: Whether the log contains all voltages.
     """
-    return required_gain(error, criteria) if voltages_known else criteria.min_gain
+    by_voltages = not voltages_known and voltages_may_cause(error, criteria)
+    return criteria.min_gain if by_voltages else required_gain(error, criteria)
 
 
 def doubt_about_candidate(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:

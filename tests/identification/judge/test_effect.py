@@ -197,11 +197,16 @@ def test_where_voltages_are_unknown_an_effect_need_not_remove_a_part_of_the_erro
 
 
 @pytest.mark.parametrize(
-    ("known", "required"),
-    [(True, 0.05), (False, 0.01)],
+    ("left", "known", "required"),
+    [
+        (1.5, True, 0.05),
+        (1.5, False, 0.01),
+        (1e4, False, 1e3),  # far more than unknown voltages may cause
+    ],
 )
-def test_the_gain_that_is_required_beside_unknown_voltages(known: bool, required: float) -> None:
-    assert judge.enough_gain(error(1.5), CRITERIA, voltages_known=known) == pytest.approx(required)
+def test_the_gain_that_is_required_beside_unknown_voltages(left: float, known: bool, required: float) -> None:
+    found = judge.enough_gain(error(left), CRITERIA, voltages_known=known)
+    assert found == pytest.approx(required, rel=1e-3)
 
 
 @pytest.mark.parametrize(
