@@ -1,10 +1,11 @@
-"""Simulation of the machine behind a controller's model, with what decides its motion and no sensor measures.
+"""Simulation of the machine that a controller's model describes, including the states that no sensor measures.
 
 A state of `MotionModel` holds travel and velocity of the coordinates of tool and drives. The motion also depends on
-what the machine remembers: the states of effects, such as a hysteresis, the heat of a winding, or the rotation of an
-eccentric pulley since the episode started, and the deflection of a load that swings slowly on its carriage. A
-simulation of one control period that began without them would take the deflection of an eccentric pulley for a
-stretched belt, which is a force of tens of newtons.
+states that are not measured, here called the memory of the machine: the states of effects, such as a hysteresis, the
+heat of a winding, or the rotation of an eccentric pulley since the episode started, and the deflection of a load that
+swings slowly on its carriage. If each control period were simulated without the memory of the one before, the
+controller would take the travel that an eccentric pulley adds for a stretched belt, and thus for a force of tens of
+newtons.
 """
 
 from __future__ import annotations
@@ -19,27 +20,29 @@ from .motion_model import MotionModel
 
 
 class SimulatedMotion:
-    """Simulations of B machines from states of a controller's model and their memories.
+    """Simulations of B machines, each from a state of the controller's model and a memory.
+
+    A row of the memories, shape (B, M), holds the deflections of slow loads (m or rad), their rates (m/s or rad/s), and
+    the states of effects (SI). All are zero at the start of an episode, where the machine rests.
 
     Attributes:
-        memory_size: Number M of entries of a memory. A memory, shape (B, M), holds deflections of slow loads, their
-            rates, then the states of effects, SI; zero where a machine starts an episode at rest.
+        memory_size: Number M of entries of a memory.
     """
 
     def __init__(self, model: MotionModel) -> None:
         self._machine = machine = model.simulated
         names, modeled = machine.coordinate_names, model.machine.coordinate_names
         n, effects = len(names), len(instances_with_state(machine))
-        kept = np.array([names.index(name) for name in modeled], np.intp)
+        in_model = np.array([names.index(name) for name in modeled], np.intp)
         loads = np.array([i for i, name in enumerate(names) if name not in modeled], np.intp)
-        self._state_columns = np.concatenate([kept, n + kept])
+        self._state_columns = np.concatenate([in_model, n + in_model])
         self._memory_columns = np.concatenate([loads, n + loads, 2 * n + np.arange(effects)]).astype(np.intp)
         self.memory_size = len(self._memory_columns)
-        self._scale = np.tile(model.machine.travel_per_unit, 2)
+        self._travel_per_unit = np.tile(model.machine.travel_per_unit, 2)
         parameters = list(machine.parameters)
         self._parameter_columns = [parameters.index(name) for name in model.machine.parameters]
         self._parameters = np.array(list(machine.parameters.values()))
-        # Entries of the memory and of the state in which a load and its carriage deviate together, and the load's unit.
+        # Deflection and rate of each load in the memory, and travel and velocity of its carriage in the state.
         sites = {e.coordinate: e.site for e in machine.effects if e.definition.reaction}
         carriages = np.array([modeled.index(sites[names[i]]) for i in loads], np.intp)
         self._load_columns = np.arange(2 * len(loads))
@@ -54,7 +57,7 @@ class SimulatedMotion:
         parameters: ParameterRows | None = None,
         **options: Any,
     ) -> tuple[Array, Array]:
-        """Simulate from states and memories at the first time.
+        """Simulate from the states and memories at the first time.
 
         Args:
             memory: Memories, shape (B, M).
@@ -66,7 +69,7 @@ class SimulatedMotion:
             States of the model, shape (B, N, 2 n), and memories, shape (B, N, M), at all times.
         """
         start = np.empty((len(state), len(self._state_columns) + self.memory_size))
-        start[:, self._state_columns] = state / self._scale
+        start[:, self._state_columns] = state / self._travel_per_unit
         start[:, self._memory_columns] = memory
         rows = parameters
         if parameters is not None and len(self._parameters) > parameters.shape[1]:
@@ -83,12 +86,13 @@ class SimulatedMotion:
             **options,
         )
         whole = np.concatenate([motion.positions, motion.velocities, motion.effects], axis=2)
-        return whole[:, :, self._state_columns] * self._scale, whole[:, :, self._memory_columns]
+        return whole[:, :, self._state_columns] * self._travel_per_unit, whole[:, :, self._memory_columns]
 
     def corrected(self, memory: Array, simulated: TravelStates, measured: TravelStates) -> Array:
         """Correct simulated memories by measured states.
 
-        A load keeps its place and speed in space if its carriage is found elsewhere: the deflection makes up for it.
+        Where the carriage of a load is measured ahead of its simulation, the load itself is assumed to be where the
+        simulation has it: its deflection from the carriage is smaller by the difference, and so is its rate.
 
         Args:
             memory: Memories with which the simulation ends, shape (B, M).
@@ -99,6 +103,6 @@ class SimulatedMotion:
             Memories, shape (B, M).
         """
         result = memory.copy()
-        found = (measured - simulated) / self._scale
-        result[:, self._load_columns] -= found[:, self._carriage_columns]
+        ahead = (measured - simulated) / self._travel_per_unit
+        result[:, self._load_columns] -= ahead[:, self._carriage_columns]
         return result
