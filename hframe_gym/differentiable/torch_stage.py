@@ -74,15 +74,21 @@ class DifferentiableStage(Stage[torch.Tensor]):
             start_time: Time since the machines were switched on, s, for effects that depend on it.
 
         Raises:
-            InputError: As in `Stage.rollout`, or if a tensor is on another device.
+            InputError: As in `Stage.rollout`, or if an argument is no tensor or on another device.
         """
-        values = self._parameters_or_nominal(parameters, len(start) if start.ndim == 2 else 1)
-        tensors = [start, voltages, values, *(() if earlier is None else (earlier,))]
-        for tensor in tensors:
+        given = {"start": start, "voltages": voltages, "parameters": parameters, "earlier": earlier}
+        for name, tensor in given.items():
+            if tensor is None:
+                continue
+            if not isinstance(tensor, torch.Tensor):
+                raise InputError(
+                    f"{name} is of type {type(tensor).__name__}; give a tensor, such as torch.as_tensor({name})"
+                )
             if tensor.device.type != "cpu":
                 raise InputError(
-                    f"a tensor is on the device {tensor.device}; machines are simulated on the processor"
+                    f"{name} is on the device {tensor.device}; machines are simulated on the processor"
                 )
+        values = self._parameters_or_nominal(parameters, len(start) if start.ndim == 2 else 1)
         self.checked(start.shape, voltages.shape, values.shape, None if earlier is None else earlier.shape)
         before = voltages.new_zeros((len(start), 0, voltages.shape[2])) if earlier is None else earlier
         result: Tensor = _rollout(

@@ -222,12 +222,12 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
     @override
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
         """Return an attribute of the vector environment, which is the same for all environments, once per index."""
-        return [getattr(self.envs, attr_name)] * len(list(self._get_indices(indices)))
+        return [self.envs.get_attr(attr_name)[0]] * len(list(self._get_indices(indices)))
 
     @override
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
         """Set an attribute of the vector environment for all environments, whatever the indices are."""
-        setattr(self.envs, attr_name, value)
+        self.envs.set_attr(attr_name, (value,) * self.num_envs)
 
     @override
     def env_method(self, method_name: str, *args: Any, indices: Indices = None, **kwargs: Any) -> list[Any]:
@@ -238,8 +238,8 @@ class HFrameVecEnv(VecEnv):  # type: ignore[misc]
         if method_name in ("get_wrapper_attr", "has_wrapper_attr"):
             look_up = getattr if method_name == "get_wrapper_attr" else hasattr
             result = look_up(self.envs, *args, **kwargs)
-            return [result] * len(list(self._get_indices(indices)))
-        result = getattr(self.envs, method_name)(*args, **kwargs)
+        else:
+            result = getattr(self.envs, method_name)(*args, **kwargs)
         return [result] * len(list(self._get_indices(indices)))
 
     @override

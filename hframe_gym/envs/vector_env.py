@@ -334,9 +334,12 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
         """Set an attribute, which all environments share; a list or tuple has one value per environment.
 
         Raises:
+            AttributeError: If there is no such attribute: nothing would read it. Options are fixed when the environment
+                is made, and `reset(options=...)` sets parameters, starts and goals.
             ValueError: If a list or tuple has another length.
             InputError: If its values differ: the environments are rows of one, and the attribute exists once.
         """
+        self._shared(name)
         if isinstance(values, list | tuple):
             if len(values) != self.num_envs:
                 raise ValueError(f"set_attr: {len(values)} values for {self.num_envs} environments")
@@ -348,10 +351,10 @@ class HFrameVectorEnv(BatchProperties, VectorEnv[Observation, NDArray[np.float32
         setattr(self, name, values)
 
     def _shared(self, name: str) -> Any:
-        """Return an attribute; raise AttributeError that says of what."""
+        """Return an attribute of one environment; raise AttributeError that says of what."""
         if not hasattr(self, name):
             raise AttributeError(f"{type(self).__name__} and its environments have no attribute {name!r}")
-        return getattr(self, name)
+        return getattr(self, f"single_{name}" if name in ("action_space", "observation_space") else name)
 
     @override
     def close_extras(self, **kwargs: Any) -> None:

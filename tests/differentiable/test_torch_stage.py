@@ -124,9 +124,11 @@ def test_second_derivatives_are_refused(stage):
         ({"voltages": torch.zeros(3, 5, 2)}, r"voltages has shape \(3, 5, 2\)"),
         ({"parameters": torch.zeros(2, 3)}, r"parameters has shape \(2, 3\)"),
         ({"earlier": torch.zeros(2, 5, 3)}, r"earlier has shape \(2, 5, 3\)"),
+        ({"voltages": np.zeros((2, 5, 2))}, r"voltages is of type ndarray; give a tensor, such as torch\."),
+        ({"parameters": [1.0, 2.0]}, r"parameters is of type list; give a tensor"),
     ],
 )
-def test_wrong_shapes_are_refused(stage, changes, message):
+def test_wrong_shapes_and_types_are_refused(stage, changes, message):
     arguments = {"start": stage.rest(batch=2), "voltages": torch.zeros(2, 5, 2), **changes}
     with pytest.raises(InputError, match=message):
         stage.rollout(**arguments)

@@ -153,7 +153,7 @@ def test_hindsight_replay_works():
     assert model.num_timesteps >= 200
 
 
-@pytest.mark.train
+@pytest.mark.slow
 def test_ppo_learns_with_its_default_hyperparameters():
     def final_distance(model):
         envs = HFrameVectorEnv(64, max_episode_steps=None, normalize=True)
@@ -190,3 +190,8 @@ def test_attributes_are_found_by_the_methods_of_single_environments() -> None:
     assert envs.env_method("has_wrapper_attr", "nothing") == [False] * 3
     with pytest.raises(AttributeError, match="nothing"):
         envs.env_method("get_wrapper_attr", "nothing")
+    assert envs.get_attr("action_space", indices=[0, 2]) == [envs.action_space] * 2
+    envs.set_attr("max_episode_steps", 7)
+    assert envs.get_attr("max_episode_steps") == [7] * 3
+    with pytest.raises(AttributeError, match="have no attribute 'penalty'"):
+        envs.set_attr("penalty", 3.0)

@@ -240,5 +240,9 @@ def test_attributes_and_methods_of_the_environments_are_reached_as_in_gymnasium(
         envs.set_attr("max_episode_steps", [1, 2, 3])
     with pytest.raises(ValueError, match="2 values for 3 environments"):
         envs.set_attr("max_episode_steps", [1, 2])
+    assert envs.get_attr("action_space") == (envs.single_action_space,) * 3
+    assert envs.get_attr("observation_space") == (envs.single_observation_space,) * 3
     with pytest.raises(AttributeError, match="have no attribute 'mass'"):
         envs.get_attr("mass")
+    with pytest.raises(AttributeError, match="have no attribute 'penalty'"):  # an option, which is read once
+        envs.set_attr("penalty", 3.0)
