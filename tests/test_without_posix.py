@@ -154,6 +154,6 @@ def test_commands_run(work: Path) -> None:
 @pytest.mark.train
 @pytest.mark.skipif(importlib.util.find_spec("stable_baselines3") is None, reason="needs the extra agents")
 def test_training_runs(work: Path) -> None:
-    hframe_without_posix("train ppo --steps 1 --seed 1 --seed 2 --jobs 2 --out agents", folder=work)
-    for folder in ("agents/seed_1", "agents/seed_2"):
-        assert (work / folder / "agent.json").is_file()
+    """In this process; `identify --jobs 2` above spawns others."""
+    hframe_without_posix("train ppo --steps 1 --out agent", folder=work)
+    assert (work / "agent" / "agent.json").is_file()

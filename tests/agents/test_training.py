@@ -169,7 +169,7 @@ class _Killed(BaseException):
     ("algorithm", "steps"),
     [
         ("ppo", 1_500),
-        ("sac_mix", 1_600),
+        ("sac_mix", 1_100),
         pytest.param("crossq", 1_600, marks=pytest.mark.slow),
         pytest.param("tqc", 1_600, marks=pytest.mark.slow),
         pytest.param("sac_her", 6_400, marks=pytest.mark.slow),

@@ -21,7 +21,7 @@ from .readers import FOREIGN_LOGS, READERS, Case, import_case, load_case
 
 pytestmark = [pytest.mark.integration, pytest.mark.filterwarnings("ignore:Generating overly large repr")]
 
-FEW, MANY = 8, 400
+FEW, MANY = 5, 400
 FUZZING = {
     "deadline": None,
     "derandomize": True,
