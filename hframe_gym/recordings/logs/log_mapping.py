@@ -133,7 +133,10 @@ class _LogMapping:
         time_of = {
             column.header: self._time_of(column, times) for column in columns.values() if column is not None
         }
-        times = [*times, *(time for time in self.log.times if time in time_of.values())]
+        used = time_of.values()
+        # Each timeseries of a MATLAB file has its own time; those of series that are no channel are no choice.
+        times = [time for time in times if time in used or not _structure(time)]
+        times = [*times, *(time for time in self.log.times if time in used)]
         time_sources = {time.header: self._source(TIME, time, None) for time in times}
         sources = []
         for channel in self.channels:
@@ -324,8 +327,10 @@ class _LogMapping:
     def _time_of_equal_length(self, column: LogColumn, times: Sequence[LogColumn]) -> LogColumn:
         """Return the time with as many values as a column, in a file of vectors of different lengths."""
         equal = [time for time in times if time.rows == column.rows]
-        if len(equal) == 1:
-            return equal[0]
+        own = [time for time in equal if _structure(time) == _structure(column)]
+        for found in (equal, own):
+            if len(found) == 1:
+                return found[0]
         if equal:
             choices = " or ".join(_map_option(TIME, time.header) for time in equal)
             raise InputError(
@@ -500,6 +505,11 @@ class _LogMapping:
 def _counts_rows(column: LogColumn) -> bool:
     """Return whether a column counts rows or ticks, by its name."""
     return column.meaning.quantity == "row number" and not column.meaning.role
+
+
+def _structure(column: LogColumn) -> str:
+    """Return the structure or timeseries of a file of vectors that a column is a member of, "" if of none."""
+    return column.name.rpartition(".")[0] if column.rows is not None else ""
 
 
 def _map_option(channel: str, reference: str) -> str:

@@ -356,7 +356,7 @@ def test_matlab_arrays_structs_and_matrices_are_imported(
     signals = np.array([(c, table[c]) for c in PLAIN[1:]], dtype=[("Name", "O"), ("Data", "O")])
     (tmp_path / "desk").mkdir()
     savemat(tmp_path / "desk/desk.mat", {"desk": {"X": {"Name": "", "Data": table["time_s"]}, "Y": signals}})
-    assert_equal(convert(tmp_path / "desk/desk.mat", hframe, columns={"time_s": "desk.X.Data"}), table)
+    assert_equal(convert(tmp_path / "desk/desk.mat", hframe), table)
     savemat(tmp_path / "rates.mat", {**named, **short})
     with pytest.raises(
         InputError,
@@ -366,6 +366,23 @@ def test_matlab_arrays_structs_and_matrices_are_imported(
     run = convert(tmp_path / "rates.mat", hframe, columns={"time_s": "t,t_slow"})
     np.testing.assert_array_equal(run.outputs[::5, 2], table["x_m"][::5])
     assert np.isnan(run.outputs[1::5, 2]).all()
+
+
+def test_each_timeseries_of_a_matlab_file_has_its_own_time(
+    table: Table, hframe: Machine, tmp_path: Path
+) -> None:
+    """Signals of one model have equal times, and a signal that is no channel has others."""
+    series = {f"ws_{c}": {"Time": table["time_s"], "Data": table[c]} for c in PLAIN[1:]}
+    series["ws_angle"] = {"Time": table["time_s"][::5], "Data": table["x_m"][::5]}
+    savemat(tmp_path / "run.mat", series)
+    columns = {c: f"ws_{c}.Data" for c in PLAIN[1:]}
+    assert_equal(convert(tmp_path / "run.mat", hframe, columns=columns), table)
+    savemat(
+        tmp_path / "run.mat",
+        {**series, "log": {"t": table["time_s"], "time": table["time_s"], "x": table["x_m"]}},
+    )
+    with pytest.raises(InputError, match=r"several times have the length of log.x: add --map"):
+        convert(tmp_path / "run.mat", hframe, columns=columns | {"x_m": "log.x"})
 
 
 @pytest.mark.parametrize(

@@ -28,13 +28,13 @@ def vectors(name: str, value: Any) -> Iterator[tuple[str, NDArray[np.float64]]]:
         value: Array, structure (dictionary) or cell array (list) as SciPy returns it.
 
     Yields:
-        Name of a vector ("log.t" for a field, "data.2" for the second column of a matrix, or the label of a Simulink
-        signal) and its values, shape (N,).
+        Name of a vector ("log.t" for a field, "data.2" for the second column of a matrix, the label of a Simulink
+        signal, or "time" for the axis of dSPACE ControlDesk) and its values, shape (N,).
     """
     if isinstance(value, dict):
         # A signal of Simulink's structure with time has a label, one of dSPACE ControlDesk a name.
         labels = {"values": value.get("label"), "Data": value.get("Name")}
-        for key, member in value.items():
+        for key, member in _with_named_axis(value).items():
             label = labels.get(key)
             yield from vectors(label if isinstance(label, str) and label else f"{name}.{key}", member)
     elif isinstance(value, list) or (isinstance(value, np.ndarray) and value.dtype == object):
@@ -46,6 +46,15 @@ def vectors(name: str, value: Any) -> Iterator[tuple[str, NDArray[np.float64]]]:
         elif value.ndim == 2 and value.size:
             for number, column in enumerate(value.T if value.shape[0] > value.shape[1] else value, start=1):
                 yield f"{name}.{number}", column.astype(float)
+
+
+def _with_named_axis(structure: dict[str, Any]) -> dict[str, Any]:
+    """Name the axis of time of dSPACE ControlDesk, whose structure is named after its file: X, without a name."""
+    axis = structure.get("X")
+    if "Y" not in structure or not isinstance(axis, dict) or "Data" not in axis:
+        return structure
+    name = axis.get("Name")
+    return structure if isinstance(name, str) and name else {**structure, "X": {**axis, "Name": "time"}}
 
 
 def objects(path: str) -> dict[str, Any]:
