@@ -35,7 +35,7 @@ def draw(rigs: dict[str, Any], decides: dict[str, str]) -> None:
         decides: The decisive score by controller.
     """
     FIGURES.mkdir(parents=True, exist_ok=True)
-    size = (15, 3.0 * (0.4 * len(rigs) + 1.4))
+    size = (10, 3.0 * (0.35 * len(rigs) + 1.0))
     figure, axes = plt.subplots(3, len(PANELS) // 3, figsize=size, sharey=True, layout="constrained")
     for panel, (kind, label) in zip(axes.flat, PANELS.items(), strict=True):
         evaluated = [(index, row[kind]) for index, row in enumerate(rigs.values()) if kind in row]

@@ -58,8 +58,8 @@ def _errors(rows: list[dict[str, Any]], path: Path) -> None:
     axes.loglog(ends, ends, color="0.7", lw=0.8)
     axes.axhline(20.0, color="0.7", lw=0.8, ls="--")
     axes.text(_MIN_UM, 22.0, " laser noise", fontsize=7, color="0.4")
-    axes.set_xlabel("tool error of the refitted declared machine, um rms")
-    axes.set_ylabel("with the identified effects, um rms")
+    axes.set_xlabel("tool error of the refitted declared machine, \u00b5m rms")
+    axes.set_ylabel("with the identified effects, \u00b5m rms")
     axes.legend(fontsize=7)
     save_figure(figure, path)
 

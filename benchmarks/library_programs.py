@@ -245,13 +245,14 @@ def draw(programs: dict[str, Any]) -> None:
             alpha=0.5,
             color=line.get_color(),
         )
-    axis.axhline(ACCEPTED_MM, color="gray", lw=0.8, ls="--")
+    axis.plot([], [], "o", ms=3, alpha=0.5, color="gray", label="single runs")
+    axis.axhline(ACCEPTED_MM, color="gray", lw=0.8, ls="--", label=f"{ACCEPTED_MM:g} mm")
     for set_ticks, ticks in ((axis.set_xticks, TICKS_S), (axis.set_yticks, TICKS_MM)):
         set_ticks(ticks, [f"{tick:g}" for tick in ticks])
     axis.minorticks_off()
     axis.set_xlabel("processor time of one core, s")
     axis.set_ylabel("median distance to the goal, mm")
-    axis.legend(frameon=False)
+    axis.legend(framealpha=1.0, edgecolor="none")
     save_figure(figure, FIGURES / f"{NAME}.png")
 
 

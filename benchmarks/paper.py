@@ -212,8 +212,8 @@ def figure_stiffness() -> Figure:
         low, high = machine.coordinate(axis).range or (0.0, 0.0)
         positions = np.linspace(low, high, 101)
         curves = [stiffness(machine, {"x": 0.0, "y": 0.0} | {axis: float(p)}) for p in positions]
-        for name in STIFFNESS:
-            panel.plot(1e3 * positions, [1e-3 * c[name] for c in curves], label=name)
+        for name, style in zip(STIFFNESS, ("-", "--", "-"), strict=True):  # left and right are equal along x
+            panel.plot(1e3 * positions, [1e-3 * c[name] for c in curves], style, label=name)
         panel.set(xlabel=f"{axis} (mm), the other at 0", ylabel="stiffness (N/mm)")
         panel.grid(alpha=0.3)
         panel.legend(frameon=False)

@@ -10,6 +10,7 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.ticker import LogLocator, NullFormatter
 from scipy.stats import norm
 
 from benchmarks.random_rigs_summary import MAX_RELATIVE_STD, Row, split_by_residue
@@ -88,7 +89,9 @@ def _detection(detection: dict[str, Any], path: Path) -> None:
     if halves:
         axes.plot(*np.transpose(halves), "|", ms=13, color="black", label="half are identified")
     axes.set_xscale("log")
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.xaxis.set_major_formatter("{x:g}")
+    axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set_yticks(range(len(detection)), list(detection), fontsize=7)
     axes.invert_yaxis()
     axes.set_xlabel("size, % of the full one")

@@ -6,6 +6,7 @@ over the plants and, of agents, the seeds that both have.
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -60,7 +61,11 @@ def draw(contents: dict[str, dict[str, Any]]) -> Path:
                 points.append(interval([np.log(model / declared) for model, declared in means]))
             mean, low, high = np.exp(points).T
             at, error = np.array(present) + offset, [mean - low, high - mean]
-            axis.errorbar(at, mean, error, fmt="o-", color=COLORS[name], capsize=2, markersize=4, label=name)
+            axis.errorbar(at, mean, error, fmt="o", color=COLORS[name], capsize=2, markersize=4, label=name)
+            for k, (first, second) in enumerate(pairwise(present)):
+                # Each model adds to the one before it, but the online one, which replaces the recordings.
+                if second == first + 1 and steps[second] != "online":
+                    axis.plot(at[k : k + 2], mean[k : k + 2], color=COLORS[name])
     axes[0].set_ylabel("settling time over declared model's")
     axes[1].set_ylabel("path error over declared model's")
     for axis in axes:

@@ -68,12 +68,12 @@ def run(console: Console) -> None:
     print_effects(answer, console)
     panels = [
         (
-            r.name,
+            f"{r.name}, speed",
             r.time_s,
             {
                 "counted": counted[r.name],
-                "before": counted_by(answer.before.machine, r),
-                "after": counted_by(answer.after.machine, r),
+                "refitted": counted_by(answer.before.machine, r),
+                "delivered": counted_by(answer.after.machine, r),
             },
         )
         for r in recordings

@@ -70,12 +70,12 @@ def run(console: Console) -> None:
     )
     print_effects(answer, console)
     test = answer.held_out.runs[0]
-    after = {"before": answer.before.machine, "after": answer.after.machine}
+    machines = {"refitted": answer.before.machine, "identified": answer.after.machine}
     panels = [
         (
             "unexplained force, N",
             test.time_s,
-            {k: smooth_force_residual(m, test, answer.held_out)[:, 0] for k, m in after.items()},
+            {k: smooth_force_residual(m, test, answer.held_out)[:, 0] for k, m in machines.items()},
         )
     ]
     picture("emps", "EMPS, held-out record: force that the model does not explain", panels, console)

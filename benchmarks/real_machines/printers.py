@@ -111,6 +111,6 @@ def run(console: Console) -> None:
         "CoreXY printers: power at the tool over frequency (first spectrum of each)",
         panels,
         console,
-        "Hz",
+        "frequency, Hz",
     )
     write_results("real_machines_printers", {"resonances": results}, seed=None)

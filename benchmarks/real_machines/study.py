@@ -94,7 +94,7 @@ def picture(
     title: str,
     panels: Sequence[tuple[str, Array, Mapping[str, Array]]],
     console: Console,
-    abscissa: str = "s",
+    abscissa: str = "time, s",
 ) -> None:
     """Draw curves to docs/figures/real_NAME.png.
 
@@ -116,7 +116,10 @@ def picture(
         for curve, values in curves.items():
             axis.plot(time_s, values, label=curve, linewidth=0.9)
         axis.set_ylabel(label)
-        axis.legend(fontsize=7, ncols=len(curves))
+        if len(curves) > 1:  # beside the curves, which fill the panel
+            axis.legend(
+                fontsize=7, ncols=len(curves), loc="lower right", bbox_to_anchor=(1.0, 1.0), frameon=False
+            )
     axes[-1].set_xlabel(abscissa)
     figure.suptitle(title, fontsize=10)
     with atomic_file(FIGURES / f"real_{name}.png") as file:

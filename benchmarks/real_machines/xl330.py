@@ -82,7 +82,7 @@ def run(console: Console) -> None:
     in_mrad = {stage: {k: 1e3 * v for k, v in e.items()} for stage, e in errors.items()}
     print_errors("XL330, rms angle error in open-loop simulation", "mrad", in_mrad, console)
     print_effects(answer, console)
-    stages = {"before": answer.before.machine, "after": answer.after.machine}
+    stages = {"refitted": answer.before.machine, "identified": answer.after.machine}
     panels = [
         (
             f"{r.name}, rad",
