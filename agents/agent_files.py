@@ -40,7 +40,6 @@ class _Policy(_Table):
     batch_norm_momentum: Fraction = 0.01
     renorm_warmup_steps: Annotated[int, Field(ge=0)] = 100_000
     ortho_init: bool = True
-    use_sde: bool = False
     use_expln: bool = False
 
 

@@ -61,7 +61,7 @@ class Recipe:
             random weights.
 
     Raises:
-        InputError: If `env` has one of the excluded keyword arguments.
+        InputError: If `env` has one of the excluded keyword arguments, or `policy` has `use_sde`.
     """
 
     name: str
@@ -83,6 +83,8 @@ class Recipe:
                     f"recipe {self.name}: env has the option {option}; machine and task are arguments of `train`, and "
                     "agents observe a dict in SI units; remove the option"
                 )
+        if "use_sde" in self.policy:  # the algorithm passes it to its policy
+            raise InputError(f"recipe {self.name}: policy has use_sde; move it to algorithm")
 
     @property
     def algorithm_keywords(self) -> dict[str, Any]:

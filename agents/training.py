@@ -209,15 +209,18 @@ class _Run:
         if recipe.hindsight:
             buffer = import_optional("stable_baselines3").HerReplayBuffer
             replay = {"replay_buffer_class": buffer, "replay_buffer_kwargs": recipe.hindsight}
-        model = _algorithm(recipe.kind)(
-            policy_class(recipe.kind, recipe.actuation),
-            self.environment,
-            seed=self.seed,
-            device="cpu",
-            policy_kwargs=policy_keywords(recipe.policy, self.card["features"]),
-            **replay,
-            **recipe.algorithm_keywords,
-        )
+        try:
+            model = _algorithm(recipe.kind)(
+                policy_class(recipe.kind, recipe.actuation),
+                self.environment,
+                seed=self.seed,
+                device="cpu",
+                policy_kwargs=policy_keywords(recipe.policy, self.card["features"]),
+                **replay,
+                **recipe.algorithm_keywords,
+            )
+        except TypeError as error:
+            raise InputError(f"recipe {recipe.name}, tables algorithm and policy: {error}") from error
         if "base" in recipe.actuation:
             adapters.set_mean_action_to_zero(model.policy)
         return model

@@ -58,3 +58,9 @@ def test_options_that_training_sets_or_policies_cannot_observe_are_refused(optio
     recipe = load_recipe("ppo", "reach")
     with pytest.raises(InputError, match=f"recipe ppo_reach: env has the option {option}"):
         replace(recipe, env={**recipe.env, option: True})
+
+
+def test_noise_that_depends_on_the_state_is_an_option_of_the_algorithm():
+    recipe = load_recipe("ppo", "reach")
+    with pytest.raises(InputError, match="recipe ppo_reach: policy has use_sde; move it to algorithm"):
+        replace(recipe, policy={**recipe.policy, "use_sde": True})

@@ -320,6 +320,11 @@ def test_the_recipes_that_this_message_names_train_on_one_axis(algorithm, tmp_pa
     assert Agent.load(tmp_path).machine.name == "axis"
 
 
+def test_a_misspelled_keyword_of_the_algorithm_is_refused(tmp_path):
+    with pytest.raises(InputError, match=r"recipe ppo_reach, tables algorithm and policy: .*'usesde'"):
+        train(small("ppo", usesde=True), steps=1, out=tmp_path, log=ignore)
+
+
 def test_an_unknown_task_is_refused(tmp_path):
     with pytest.raises(InputError, match="task 'juggle' is unknown"):
         train("ppo", task="juggle", out=tmp_path)
