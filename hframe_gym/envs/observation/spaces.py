@@ -223,18 +223,12 @@ def observation_signals(
     return {key: specs for key, specs in signals.items() if specs}
 
 
-def observation_space(
-    machine: Machine,
-    previews: int = 0,
-    *,
-    observed: Sequence[SignalSpec] | None = None,
-    privileged: Sequence[SignalSpec] = (),
-) -> spaces.Dict:
-    """Create the observation space of an environment without the options `normalize` and `flat`.
+def observation_space(machine: Machine, previews: int = 0) -> spaces.Dict:
+    """Create the observation space of an environment with its default options, but for the task.
 
     The arguments and errors are those of `observation_signals`; the boxes are bounded, float32, one for each key.
     """
-    signals = observation_signals(machine, previews, observed=observed, privileged=privileged)
+    signals = observation_signals(machine, previews)
     return spaces.Dict({key: box(*bounds_of(specs)) for key, specs in signals.items()})
 
 

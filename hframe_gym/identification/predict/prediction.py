@@ -318,9 +318,7 @@ def block_size(seconds: float, machine: Machine, data: Dataset) -> int:
     return max(1, round(seconds / data.period)) * len(machine.sensors)
 
 
-def prediction_error(
-    run: PreparedRecording, data: Dataset, measurements: Array, *, fitted: bool = False
-) -> Array:
+def prediction_error(run: PreparedRecording, data: Dataset, measurements: Array) -> Array:
     """Return measured minus predicted values, without the constant error that uncertain sensor zeros cause.
 
     A zero is the measurement at position 0. For encoders behind belts, the constant error is the mean error over the
@@ -332,21 +330,17 @@ def prediction_error(
         data: Data set of the run, for the sensors' quantization steps.
         measurements: Predicted measurements of a batch of predictions, in the sensors' units, shape
             (batch, n, sensors).
-        fitted: True for the residual of a fit: sensors without quantization that measured at rest are treated like
-            encoders behind belts, and measurements with the same rounding error count as one in the means
-            (`run.weights`). False for an evaluation: equal weights.
 
     Returns:
         Errors, in the sensors' units, shape (batch, n, sensors); 0 where nothing was measured.
     """
     unscaled = np.isfinite(run.outputs).astype(np.float64)  # and 0 where nothing was measured
-    return scaled_errors(
-        run.known_outputs, measurements, _zeros(run, data, measurements, fitted), unscaled, 1
-    )
+    zeros = _zeros(run, data, measurements, fitted=False)
+    return scaled_errors(run.known_outputs, measurements, zeros, unscaled, 1)
 
 
 def _zeros(run: PreparedRecording, data: Dataset, measurements: Array, fitted: bool) -> Array:
-    """Return the errors of the sensors' zeros that `prediction_error` subtracts, shape (batch, sensors)."""
+    """Return the errors of the sensors' zeros that are subtracted, shape (batch, sensors)."""
     weights = run.weights if fitted else np.isfinite(run.outputs)
     weights = np.array(weights if data.has_zero is None else weights * data.has_zero, np.float64, order="C")
 
