@@ -11,10 +11,10 @@ effects has integration steps: in a log at 3200 Hz none, because its rows are cl
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy import stats
 
 from ...machine import Machine
 from ...preparation.dataset import Dataset
@@ -24,10 +24,12 @@ from ..judge.run import (
     UpdatesEvidence,
     interpolation_suffices,
     may_change_between_rows,
+    voltages_change_at_another_rate,
     voltages_change_between_rows,
 )
 from ..predict.prediction import SEARCH_BANDWIDTH, SIMULATION
 from ..predict.voltage_errors import expected_excess, simulation_error
+from .covariance import DELAY_STD
 from .estimation import Fit, prediction_costs
 from .model_error import continue_fit, search_step
 from .slow_logs import ExcessDelay, excess_delay
@@ -105,7 +107,9 @@ def other_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> Vo
         updates = voltage_updates(fitted, data, criteria)
     else:
         excess = excess_delay(fitted, data)
-        if excess is None or (excess.periods / excess.deviation) ** 2 < stats.chi2.isf(criteria.chance, 1):
+        if excess is None:
+            return None
+        if not voltages_change_at_another_rate(excess.periods, math.hypot(excess.deviation, DELAY_STD)):
             return None
         per_row = count_updates(fitted, data, excess)
         counted = continue_fit(fitted, data.with_updates(per_row), fitted.bandwidth)

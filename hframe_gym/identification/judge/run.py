@@ -21,6 +21,9 @@ SAME = 0.05
 # Fraction of the changes of the commands that follow a change in the row before. A controller that is faster than the
 # log changes its output in row after row while the machine moves (0.88 to 1.0), steps and square waves do not (0).
 ROW_AFTER_ROW = 0.5
+# Standard deviations from which on an indicated delay of the voltages is clear: chance exceeds them once in a thousand
+# times. One delay is asked for after each effect, and not the best of hundreds of candidates.
+CLEAR_DELAY = 3.3
 
 
 def contradicting_run(ratios: Mapping[str, float]) -> str | None:
@@ -105,6 +108,18 @@ def voltages_change_between_rows(evidence: UpdatesEvidence, criteria: SelectionC
     held, updated = evidence.held, evidence.updated
     enough = is_enough(held, updated, criteria.min_gain)
     return enough and held.excess > AS_GOOD * updated.excess and evidence.better > 0.5
+
+
+def voltages_change_at_another_rate(delay: float, deviation: float) -> bool:
+    """Return whether interpolated voltages change more or less often from row to row than a search has assumed.
+
+    The search then begins again with another number of changes.
+
+    Args:
+        delay: By how much later the voltages act than this number says, sampling periods.
+        deviation: Standard deviation of this delay, the accuracy of the times of recordings included, sampling periods.
+    """
+    return abs(delay) > CLEAR_DELAY * deviation
 
 
 def interpolation_suffices(simulated: Array) -> bool:

@@ -198,7 +198,7 @@ def _search_and_check(
         refitted = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
     if can_show_updates(data):
         log(f"comparing held {machine.commands_in_words} with some that change between the rows")
-    updates, known = voltage_updates(refitted, data, criteria), machine
+    updates, known, knows_errors = voltage_updates(refitted, data, criteria), machine, False
     search = partial(_search, machine, refitted=refitted, criteria=criteria, log=log, budget=budget)
     rejected: dict[int, int] = {}
     selected: tuple[SelectedEffect, ...] = ()  # by a search that assumed other voltages
@@ -208,7 +208,9 @@ def _search_and_check(
             commands = machine.commands_in_words
             changes = updates.describe(commands, data.period)
             log(f"{changes}; they are interpolated")
-            fitted, validation = _interpolated(known, updates.per_row, data, held_out, log)
+            fitted, validation = interpolated(
+                known, updates.per_row, data, held_out, log, knows_errors=knows_errors
+            )
             quality = describe_interpolation(refitted.machine, fitted)
             messages = (*messages, _BETWEEN_ROWS.format(changes, quality, updates.per_row))
         fitted = dataclasses.replace(fitted, updates_rejected=rejected.copy())
@@ -227,6 +229,7 @@ def _search_and_check(
             return found if different is None else found.without_run(different)
         except VoltagesChangeError as change:
             rejected[updates.per_row] = len(change.machine.effects)
+            knows_errors = updates.per_row > 1
             updates, known, selected = change.updates, change.machine, change.selected
 
 
@@ -245,15 +248,31 @@ def _different_run(
     return different if different in [run.name for run in data.runs] else None
 
 
-def _interpolated(
-    machine: Machine, updates: int, data: Dataset, held_out: Dataset, log: Log
+def interpolated(
+    machine: Machine, updates: int, data: Dataset, held_out: Dataset, log: Log, *, knows_errors: bool
 ) -> tuple[Dataset, Dataset]:
-    """Return runs whose voltages are interpolated between the rows, with the errors that this causes."""
+    """Return runs whose voltages are interpolated between the rows, with the errors that this causes.
+
+    What errors of the voltages do to the predictions follows from a machine that is fitted to the runs. Without these
+    errors, a fit takes the motion that they cause for friction, so that one which knew them is not repeated.
+
+    Args:
+        machine: Machine that shows how the predictions respond to the voltages.
+        updates: Changes of the voltages from one row to the next.
+        data: Runs to fit, with held voltages.
+        held_out: Held-out runs, with held voltages.
+        log: Called with a line of text.
+        knows_errors: Whether the machine was fitted with errors of interpolated voltages; otherwise it is refitted.
+
+    Returns:
+        Runs to fit, and held-out runs.
+    """
     data, held_out, _ = with_lost_voltages(
         machine, data.with_updates(updates), held_out.with_updates(updates), log
     )
-    refitted = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
-    return with_voltage_errors(refitted.machine, data), with_voltage_errors(refitted.machine, held_out)
+    if not knows_errors:
+        machine = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH).machine
+    return with_voltage_errors(machine, data), with_voltage_errors(machine, held_out)
 
 
 def _search(

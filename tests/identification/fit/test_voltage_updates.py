@@ -12,16 +12,19 @@ from hframe_gym import simulate
 from hframe_gym.data_validation.sampling import check_voltages_between_rows
 from hframe_gym.identification import Dataset, Fit, SelectionCriteria, default_free_parameters, fit, prepare
 from hframe_gym.identification.fit import voltage_updates as voltage_updates_module
+from hframe_gym.identification.fit.slow_logs import ExcessDelay
 from hframe_gym.identification.fit.voltage_updates import (
     VoltageUpdates,
     can_show_updates,
     describe_interpolation,
     most_updates,
+    other_updates,
     successive_changes,
     voltage_updates,
 )
 from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH, SIMULATION, predict
 from hframe_gym.identification.predict.voltage_errors import with_voltage_errors
+from hframe_gym.identification.search.checked_search import interpolated
 from hframe_gym.identification.validate.recording_simulation import simulate_recording
 from hframe_gym.machine import BUILTIN_MACHINES
 from hframe_gym.preparation.interpolated_voltages import mean_inputs, update_times, updated_inputs
@@ -248,3 +251,35 @@ def test_rows_that_a_clock_moves_or_a_logger_loses_take_no_more_steps() -> None:
     jittering = dataclasses.replace(run, time_s=run.time_s + jitter).held(1e-3)
     assert jittering.per_row == 5
     assert np.mean(np.diff(jittering.time_s) <= 1e-3) > 0.94
+
+
+@pytest.mark.parametrize(("true_number", "expected"), [(14, None), (4, 4)])
+def test_a_delay_within_the_accuracy_of_the_times_is_no_other_number(
+    monkeypatch: pytest.MonkeyPatch, true_number: int, expected: int | None
+) -> None:
+    """Instead of 16 changes, 14 act later by 0.004 sampling periods, 4 by 0.09."""
+    data = slow_log(4).with_updates(16)
+    fitted = refitted(data)
+
+    def excess_delay(fitted: Fit, data: Dataset, start: ExcessDelay | None = None) -> ExcessDelay:
+        return ExcessDelay(0.5 / true_number - 0.5 / data.updates, 0.0005, fitted.theta)
+
+    monkeypatch.setattr(voltage_updates_module, "excess_delay", excess_delay)
+    updates = other_updates(fitted, with_voltage_errors(fitted.machine, data), SelectionCriteria())
+    assert (updates and updates.per_row) == expected
+
+
+@pytest.mark.parametrize("knows_errors", [False, True])
+def test_a_machine_that_was_fitted_with_errors_of_the_voltages_shows_them(knows_errors: bool) -> None:
+    """A carriage of half the mass responds to the voltages twice as much."""
+    light, data = AXIS.replace({"x.mass": 0.5 * RIG.coordinates[0].mass}), slow_log(4)
+    fitted, held_out = interpolated(light, 4, data, data, print, knows_errors=knows_errors)
+    expected = light if knows_errors else refitted(data.with_updates(4)).machine
+    errors = with_voltage_errors(expected, data.with_updates(4)).runs[0].voltage_errors
+    for run in (fitted.runs[0], held_out.runs[0]):
+        assert run.voltage_errors is not None and errors is not None
+        np.testing.assert_allclose(
+            run.voltage_errors.log_variance(SEARCH_BANDWIDTH),
+            errors.log_variance(SEARCH_BANDWIDTH),
+            atol=0.01,
+        )

@@ -150,6 +150,15 @@ def test_voltages_change_between_rows_if_held_ones_leave_clearly_more_in_most_ru
 
 
 @pytest.mark.parametrize(
+    ("delay", "deviation", "other"), [(0.03, 0.006, True), (-0.03, 0.006, True), (0.013, 0.006, False)]
+)
+def test_the_voltages_are_counted_again_where_they_act_clearly_earlier_or_later(
+    delay: float, deviation: float, other: bool
+) -> None:
+    assert judge.voltages_change_at_another_rate(delay, deviation) is other
+
+
+@pytest.mark.parametrize(
     ("simulated", "suffices"),
     [((0.0, 0.4), True), ((0.0, 0.5), False), ((5.0, 0.1), False), ((np.nan,), False)],
 )
