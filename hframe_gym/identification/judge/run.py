@@ -116,8 +116,8 @@ def voltages_change_at_another_rate(delay: float, deviation: float) -> bool:
     The search then begins again with another number of changes.
 
     Args:
-        delay: By how much later the voltages act than this number says, sampling periods.
-        deviation: Standard deviation of this delay, the accuracy of the times of recordings included, sampling periods.
+        delay: By how much later the voltages act than this number says, in sampling periods, dimensionless.
+        deviation: Standard deviation of this delay, the accuracy of the times of recordings included, dimensionless.
     """
     return abs(delay) > CLEAR_DELAY * deviation
 
