@@ -276,8 +276,9 @@ def test_a_machine_that_was_fitted_with_errors_of_the_voltages_shows_them(knows_
     fitted, held_out = interpolated(light, 4, data, data, print, knows_errors=knows_errors)
     expected = light if knows_errors else refitted(data.with_updates(4)).machine
     errors = with_voltage_errors(expected, data.with_updates(4)).runs[0].voltage_errors
+    assert errors is not None
     for run in (fitted.runs[0], held_out.runs[0]):
-        assert run.voltage_errors is not None and errors is not None
+        assert run.voltage_errors is not None
         np.testing.assert_allclose(
             run.voltage_errors.log_variance(SEARCH_BANDWIDTH),
             errors.log_variance(SEARCH_BANDWIDTH),
