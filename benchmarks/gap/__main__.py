@@ -82,9 +82,21 @@ def main() -> None:
     """Run what the command line asks for."""
     parser = command_line(__doc__)
     parser.add_argument("action", choices=("run", "table", "list", "plants", "bounds", "picture"))
-    parser.add_argument("entries", nargs="*", metavar="ENTRY")
-    parser.add_argument("--plants", type=int, nargs="+", default=list(range(COUNT)), metavar="INDEX")
-    parser.add_argument("--seed", type=int, default=PUBLIC_SEED)
+    parser.add_argument(
+        "entries", nargs="*", metavar="ENTRY", help="`list` names them, or package.module:Class"
+    )
+    parser.add_argument(
+        "--plants",
+        type=int,
+        nargs="+",
+        choices=range(COUNT),
+        default=list(range(COUNT)),
+        metavar="INDEX",
+        help=f"some plants, 0 to {COUNT - 1} (default: all)",
+    )
+    parser.add_argument(
+        "--seed", type=int, default=PUBLIC_SEED, help="of the plants (default: those of gap-v1)"
+    )
     parser.add_argument("--out", type=Path, default=RESULTS, help="folder of the result files")
     arguments = parser.parse_args()
     try:

@@ -444,16 +444,20 @@ def get_entry(name: str) -> type[GapEntry]:
         The class; the protocol makes one object per plant.
 
     Raises:
-        InputError: If there is no such entry.
+        InputError: If there is no such entry, or its class lacks a method.
     """
     module, _, attribute = name.partition(":")
     if attribute:
         try:
             found = getattr(importlib.import_module(module), attribute)
         except (ImportError, AttributeError) as error:
-            raise InputError(f"entry {name!r}: {error}") from None
+            raise InputError(
+                f"entry {name!r}: {error}; modules are found in the current folder and on PYTHONPATH"
+            ) from None
         if not (isinstance(found, type) and issubclass(found, GapEntry)):
             raise InputError(f"entry {name!r} is not a subclass of benchmarks.gap.entries.GapEntry")
+        if missing := found.__abstractmethods__:
+            raise InputError(f"entry {name!r} lacks the method {' and '.join(sorted(missing))}")
         return found
     base, _, variant = name.rpartition("-")
     if base in TRAINED and variant == "trained":

@@ -262,6 +262,8 @@ def test_names_of_entries() -> None:
     with pytest.raises(InputError, match="hframe train ppo_mix --task reach --seed 99"):
         get_entry("ppo_mix-seed99").files()
     assert get_entry(f"{__name__}:Still") is Still
+    with pytest.raises(InputError, match="GapEntry' lacks the method controller and prepare"):
+        get_entry("benchmarks.gap.entries:GapEntry")
     for name in ("nothing", "no.such.module:Class", f"{__name__}:Constant", "pid-best", "pid-seed1"):
         with pytest.raises(InputError, match="entry"):
             get_entry(name)

@@ -169,7 +169,7 @@ def test_a_mirrored_motion_takes_as_long(hframe_problem: TimeOptimalReach) -> No
         (("constant_force", "x", {"size": -10.0}), True),
         (("constant_force", "x", {"size": 10.0}), False),
         (("dead_band", "motor1", {"Vd": 1.0, "drop": 1.0}), True),
-        (("current_limit", "motor1", {"I": 10.0}), True),
+        (("current_limit", "motor1", {"I": 7.0}), True),
         (("asymmetric_viscous", "x", {"a": 0.5}), True),
     ],
 )
