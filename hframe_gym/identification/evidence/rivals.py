@@ -16,6 +16,7 @@ from ...effects import effect_sites
 from ...machine import AppliedEffect, Machine
 from ...preparation.dataset import Dataset
 from ..fit.estimation import Fit
+from ..fit.long_run_variance import long_run_variance
 from ..fit.model_error import (
     bandwidths_for,
     continue_fit,
@@ -41,7 +42,6 @@ from ..predict.prediction import SEARCH_BANDWIDTH
 from ..propose.candidates import is_required
 from ..propose.trial_fits import fit_in_place_of
 from .effect_parameters import parameter_values
-from .long_run_variance import long_run_variance
 
 
 def simplest_first(trials: list[Fit], current: Fit, criteria: SelectionCriteria) -> list[Fit]:

@@ -16,6 +16,7 @@ from ...machine import AppliedEffect, Machine
 from ...preparation.dataset import Dataset
 from ..fit.estimation import Fit
 from ..fit.force_sizes import drive_force, effect_force, force_difference, residue_force
+from ..fit.long_run_variance import long_run_variance
 from ..fit.missing_force import follow_runs, sensor_combinations
 from ..fit.model_error import (
     fit_with_model_error,
@@ -35,7 +36,6 @@ from ..judge.effect import (
 )
 from .effect_parameters import parameter_values
 from .effect_variables import depend_on_same_variable
-from .long_run_variance import long_run_variance
 from .plausibility import plausibility_fault
 from .unknown_voltages import cost_beside_voltages
 

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -38,10 +38,13 @@ from ...preparation.excerpt import NORMAL_SESSION, representative_part
 from ...preparation.motion_windows import MotionWindows, force_equations, leading_motions, motion_windows
 from ...recordings import bridge_blanks, comparison_window
 from ..budget import PLAIN_FIT_PART, Budget, goes_on
+from ..judge.chance import LongRunVariance, chance_gain, exceeds_chance
+from ..judge.criteria import SelectionCriteria
 from ..judge.error import is_better_start
 from ..predict.free_parameters import FreeParameter, default_free_parameters, typical_force, values_at
 from ..predict.prediction import SEARCH_BANDWIDTH, SIMULATION
 from .estimation import Fit, fit, prediction_cost
+from .long_run_variance import long_run_variance
 
 # Lengths of the windows, s. Short ones see fast motion, long ones suppress noise; the simulation decides between them.
 _SPANS = (0.02, 0.05, 0.1, 0.2, 0.4)
@@ -62,8 +65,9 @@ _TERM_PRIOR = 10.0  # in typical sizes of a term
 _POINTS, _FITTED_POINTS = 64, 16
 # Of logarithms, to either side; other parameters extend from 0 to twice as many multiples of their scale.
 _POINTS_SPREAD = 1.5
-# Fraction of the squared error that a term (offset, weight, delay) must remove beside inertia and friction.
-_LEAST_GAIN = 0.02
+# A term (offset, weight, delay) counts where at most one of 100 that do not exist removes as much of the error by
+# chance: it is no name, and the held-out runs drop it if it does harm.
+_TERM_CRITERIA = SelectionCriteria(chance=0.01)
 
 
 class _Balance(NamedTuple):
@@ -84,6 +88,20 @@ class _Balance(NamedTuple):
     weight: tuple[float, float]
 
 
+class _Removal(NamedTuple):
+    """What a plain fit loses without one of its terms.
+
+    Attributes:
+        fitted: Fit without the term.
+        gain: Reduction of the cost by the term, dimensionless.
+        variance: Variance of the residual with the term, in the direction in which it changes the predictions.
+    """
+
+    fitted: Fit
+    gain: float
+    variance: LongRunVariance
+
+
 @dataclass(frozen=True)
 class PlainFit:
     """Result of a plain fit.
@@ -92,26 +110,32 @@ class PlainFit:
         start: The machine with the inertia and friction of the inverse dynamics, without further terms; those of the
             output-error fit where there are none, with a drive that follows a set point or without a sensor that shows
             a direction.
-        fits: Output-error fits: of inertia and friction, then each with one term more, a constant force, a weight or an
-            input delay, as effects of its machine.
+        fits: Output-error fits with different terms beside inertia and friction: a constant force, a weight or an input
+            delay, as effects of their machines. The last one has all terms that the runs show, the others fewer.
+        uncertain: Fits with all these and further terms, which remove no more of the error of the fitted runs than
+            chance may. Other runs may confirm them.
         seconds: Processor time after which it ended before it was complete, s; None if it is complete.
     """
 
     start: Machine
     fits: tuple[Fit, ...]
+    uncertain: tuple[Fit, ...] = ()
     seconds: float | None = None
 
     @property
     def simulated(self) -> Fit:
-        """The fit with all terms."""
+        """The fit with all terms that the runs show."""
         return self.fits[-1]
 
     @property
     def simpler(self) -> tuple[PlainFit, ...]:
         """The plain fits with fewer of the terms, without any first."""
-        return tuple(
-            PlainFit(self.start, self.fits[:count], self.seconds) for count in range(1, len(self.fits))
-        )
+        return tuple(PlainFit(self.start, (fit,), seconds=self.seconds) for fit in self.fits[:-1])
+
+    @property
+    def extended(self) -> tuple[PlainFit, ...]:
+        """The plain fits with uncertain terms, with the fewest first."""
+        return tuple(PlainFit(self.start, (fit,), seconds=self.seconds) for fit in self.uncertain)
 
     @property
     def machine(self) -> Machine:
@@ -175,26 +199,77 @@ def _fitted(machine: Machine, data: Dataset, equal: Dataset) -> PlainFit | None:
         best = min((best, *_output_error_fits(start, free, equal)), key=_finite_cost)
         if machine.drive_laws:
             start, free = best.machine, wide_parameters(best.machine)
-    present, fits = {e.label for e in machine.effects}, [best]
-    for effect in (e for e in _terms(start, offsets) if e.label not in present):
+    present = {e.label for e in machine.effects}
+    terms = tuple(e for e in _terms(start, offsets) if e.label not in present)
+    return _with_terms(start, best, terms, equal)
+
+
+def _with_terms(start: Machine, without: Fit, terms: Sequence[AppliedEffect], equal: Dataset) -> PlainFit:
+    """Add the terms that reduce the error, and tell those that the runs show from those that chance explains.
+
+    A term is judged beside all others, because what another one lacks hides it: the terms are first added without a
+    test, and then removed again, the least certain one first.
+    """
+    fits = [without]
+    for term in terms:
         if not goes_on():
             break
-        terms = _term_parameters(effect, machine)
-        trials = [
-            fit(
-                best.machine.with_effects(effect), (*wide_parameters(best.machine), *terms), equal, SIMULATION
-            )
-        ]
-        if not effect.definition.delay:
-            # Without the term, friction took its place, so that the way back from the best fit may be barred.
-            own = {e.label for e in start.effects}
-            again = start.with_effects(*(e for e in best.machine.effects if e.label not in own))
-            trials += _output_error_fits(again.with_effects(effect), (*wide_parameters(again), *terms), equal)
-        trial = min(trials, key=_finite_cost)
-        if trial.cost < (1.0 - _LEAST_GAIN) * best.cost:
-            best = trial
-            fits.append(best)
-    return PlainFit(start, tuple(fits))
+        trial = _fit_with_term(start, fits[-1], term, equal)
+        if trial.cost < fits[-1].cost:
+            fits.append(trial)
+    candidates = {term.label for term in terms}
+    known = {_labels(fitted, candidates): fitted for fitted in fits}
+    certain = fits[-1]
+    while labels := _labels(certain, candidates):
+        if not goes_on():
+            return PlainFit(start, tuple(fits))
+        removals = [_removal(certain, label, candidates, known, equal) for label in labels]
+        weakest = min(
+            removals, key=lambda removal: removal.gain / chance_gain(removal.variance, _TERM_CRITERIA)
+        )
+        if exceeds_chance(weakest.gain, weakest.variance, _TERM_CRITERIA):
+            break
+        certain = weakest.fitted
+    shown = set(_labels(certain, candidates))
+    simplest_first = sorted(known, key=len)
+    return PlainFit(
+        start,
+        tuple(known[labels] for labels in simplest_first if shown.issuperset(labels)),
+        tuple(known[labels] for labels in simplest_first if shown < set(labels)),
+    )
+
+
+def _labels(fitted: Fit, candidates: Container[str]) -> tuple[str, ...]:
+    """Return the labels of the terms that a fit has."""
+    return tuple(e.label for e in fitted.machine.effects if e.label in candidates)
+
+
+def _removal(
+    fitted: Fit, label: str, candidates: Container[str], known: dict[tuple[str, ...], Fit], equal: Dataset
+) -> _Removal:
+    """Fit without one term, if this is not known yet."""
+    others = tuple(other for other in _labels(fitted, candidates) if other != label)
+    if others not in known:
+        effects = tuple(e for e in fitted.machine.effects if e.label != label)
+        machine = dataclasses.replace(fitted.machine, effects=effects)
+        kept = [k for k, p in enumerate(fitted.free) if not p.name.startswith(f"{label}.")]
+        free = tuple(fitted.free[k] for k in kept)
+        known[others] = fit(machine, free, equal, SIMULATION, theta=fitted.theta[kept])
+    gain = known[others].cost - fitted.cost
+    return _Removal(known[others], gain, long_run_variance(fitted, label, equal))
+
+
+def _fit_with_term(start: Machine, fitted: Fit, term: AppliedEffect, equal: Dataset) -> Fit:
+    """Fit with one term more, from the fit without it."""
+    machine, parameters = fitted.machine, _term_parameters(term, start)
+    trials = [fit(machine.with_effects(term), (*wide_parameters(machine), *parameters), equal, SIMULATION)]
+    if not term.definition.delay:
+        # Without the term, friction took its place, so that the way back from the fit may be barred.
+        own = {e.label for e in start.effects}
+        again = start.with_effects(*(e for e in machine.effects if e.label not in own))
+        free = (*wide_parameters(again), *parameters)
+        trials += _output_error_fits(again.with_effects(term), free, equal)
+    return min(trials, key=_finite_cost)
 
 
 def _fits_from_points(machine: Machine, data: Dataset) -> list[Fit]:

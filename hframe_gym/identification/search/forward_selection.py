@@ -17,7 +17,6 @@ from typing import NamedTuple
 from ...machine import AppliedEffect, Machine
 from ...preparation.dataset import Dataset
 from ..budget import expect_tests, may_begin_again, note_error, seconds_spent, spend
-from ..evidence.long_run_variance import long_run_variance
 from ..evidence.rivals import (
     close_rivals,
     compare_rivals,
@@ -29,6 +28,7 @@ from ..evidence.rivals import (
 from ..evidence.significance import TestedFit, doubt_about_candidate, doubt_beside_others
 from ..evidence.tried_effects import ConsideredEffect, Log, SelectedEffect, Selection, Step
 from ..fit.estimation import Fit, describe_gain
+from ..fit.long_run_variance import long_run_variance
 from ..fit.model_error import (
     continue_fit,
     fit_with_model_error,

@@ -15,11 +15,11 @@ from collections.abc import Iterator
 from ...machine import Effect, argument_names
 from ...preparation.dataset import Dataset
 from ..evidence.held_out import error_reduction
-from ..evidence.long_run_variance import long_run_variance
 from ..evidence.plausibility import plausibility_fault
 from ..evidence.rivals import close_rivals, simplest_first
 from ..evidence.tried_effects import ConsideredEffect, Log, SelectedEffect
 from ..fit.estimation import Fit
+from ..fit.long_run_variance import long_run_variance
 from ..fit.model_error import (
     continue_fit,
     leave_one_out_gain,

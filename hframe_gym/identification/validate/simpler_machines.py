@@ -108,7 +108,7 @@ def reserve_time_after_search(
     if not any(is_long(run, session.machine) for run in session.recordings if run.name in names):
         return
     test = tests.of(held_out)
-    plain_fits = () if plain is None else (*plain.simpler, plain)
+    plain_fits = () if plain is None else (*plain.simpler, plain, *plain.extended)
     for machine in (session.machine, *(p.machine for p in plain_fits)):
         test.errors(machine, fitted)
     budget.reserve(test.seconds() * (2.0 + _runs_to_report(test, fitted)))
@@ -149,7 +149,7 @@ def _compared(
 ) -> tuple[PlainResult, Evaluated, str]:
     """Return the plain fit with its errors, the outcome that is delivered, and what replaced the search's machine."""
     outcome, test = evaluated.outcome, evaluated.test
-    plain, reference = _confirmed(plain, evaluated)
+    certain, plain, reference = confirmed(plain, evaluated)
     result = PlainResult(reference, plain.terms)
     log(f"plain fit: {reference.held_out.noise_ratio:.4g} times the noise on the held-out runs")
     if not test.session.machine.belts:
@@ -157,7 +157,7 @@ def _compared(
             test.seconds() * (1.0 + _runs_to_report(test, outcome.data))
         )  # a description, the report
         base = reference if _is_worse(evaluated.before, reference, test) else evaluated.before
-        described = _described(evaluated, plain, base, log, budget)
+        described = _described(evaluated, certain, base, log, budget)
         if described is not None:
             return result, *described
     ratio = error_ratio(evaluated.after, reference)
@@ -185,16 +185,34 @@ def _compared(
     return dataclasses.replace(result, delivered=True), delivered, sentence
 
 
-def _confirmed(plain: PlainFit, evaluated: Evaluated) -> tuple[PlainFit, ModelEvaluation]:
-    """Return the plain fit without the last terms that worsen the prediction of the held-out runs, and its errors."""
+def confirmed(plain: PlainFit, evaluated: Evaluated) -> tuple[PlainFit, PlainFit, ModelEvaluation]:
+    """Let the held-out runs choose the terms of a plain fit.
+
+    Args:
+        plain: Plain fit to the fitted runs.
+        evaluated: Outcome of a search, with the tests on the held-out runs.
+
+    Returns:
+        The plain fit with those terms that the fitted runs show, without any that worsen the prediction of the held-out
+        runs; the one with terms that they do not show, if it predicts the held-out runs better, or else the first one;
+        and the errors of this machine.
+    """
     test, data = evaluated.test, evaluated.outcome.data
-    name = f"{test.session.machine.name}-plain"
-    best, reference = plain, test.errors(plain.machine.replace(name=name), data)
+
+    def errors(fitted: PlainFit) -> ModelEvaluation:
+        return test.errors(fitted.machine.replace(name=f"{test.session.machine.name}-plain"), data)
+
+    certain, reference = plain, errors(plain)
     for simpler in reversed(plain.simpler):
-        errors = test.errors(simpler.machine.replace(name=name), data)
-        if error_ratio(errors, reference) < 1.0:
-            best, reference = simpler, errors
-    return best, reference
+        found = errors(simpler)
+        if error_ratio(found, reference) < 1.0:
+            certain, reference = simpler, found
+    best = certain
+    for extended in plain.extended:
+        found = errors(extended)
+        if _is_worse(reference, found, test):
+            best, reference = extended, found
+    return certain, best, reference
 
 
 def _is_worse(model: ModelEvaluation, reference: ModelEvaluation, test: HeldOutTest) -> bool:

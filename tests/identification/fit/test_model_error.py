@@ -13,7 +13,6 @@ from hframe_gym.dynamics import simulate_batch
 from hframe_gym.effects import EFFECTS
 from hframe_gym.effects.smooth_table import KNOTS, definition
 from hframe_gym.identification import Dataset, Fit, default_free_parameters, fit, prepare
-from hframe_gym.identification.evidence.long_run_variance import long_run_variance
 from hframe_gym.identification.fit import model_error
 from hframe_gym.identification.fit.estimation import (
     costs_left_out,
@@ -21,6 +20,7 @@ from hframe_gym.identification.fit.estimation import (
     prediction_cost,
 )
 from hframe_gym.identification.fit.force_sizes import residue_force
+from hframe_gym.identification.fit.long_run_variance import long_run_variance
 from hframe_gym.identification.fit.model_error import (
     BANDWIDTHS,
     fit_with_model_error,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hframe_gym.identification.evidence.long_run_variance import variance_along
+from hframe_gym.identification.fit.long_run_variance import variance_along
 from hframe_gym.identification.predict.linearization import RunLinearization
 
 OF_EFFECT, PRECISION = np.array([False, True]), np.diag([1.0 / 0.3**2, 1e-12])

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from ...arrays import Array
 from ...preparation.dataset import Dataset
-from ..fit.covariance import BLOCK_S
-from ..fit.estimation import Fit
 from ..judge.chance import LongRunVariance
 from ..predict.free_parameters import prior_precision
 from ..predict.linearization import ResidualModel, RunLinearization
 from ..predict.prediction import block_size, map_runs
+from .covariance import BLOCK_S
+from .estimation import Fit
 
 _NOISE_S = 0.05  # s; longer than the correlation of a sensor's noise
 
