@@ -8,17 +8,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
 from ...machine import AppliedEffect, Machine
 from ...preparation.dataset import Dataset
+from ..fit.covariance import with_uncertainty
 from ..fit.estimation import Fit
 from ..fit.force_sizes import drive_force, effect_force, force_difference, residue_force
 from ..fit.long_run_variance import long_run_variance
 from ..fit.missing_force import follow_runs, sensor_combinations
 from ..fit.model_error import (
+    continue_fit,
     fit_with_model_error,
     has_narrowest_observer,
     leave_one_out_gain,
@@ -33,8 +35,10 @@ from ..judge.effect import (
     Disagreement,
     EffectEvidence,
     Forces,
+    SizeByObserver,
 )
-from .effect_parameters import parameter_values
+from ..predict.prediction import SEARCH_BANDWIDTH
+from .effect_parameters import parameter_values, sizes
 from .effect_variables import depend_on_same_variable
 from .plausibility import plausibility_fault
 from .unknown_voltages import cost_beside_voltages
@@ -59,6 +63,24 @@ class TestedFit:
     def narrower(self) -> Fit:
         """Fit with the next narrower observer."""
         return narrower_observer(self.fitted, self.data)
+
+    @cached_property
+    def wide(self) -> Fit:
+        """Fit with the widest observer."""
+        return continue_fit(self.fitted, self.data, SEARCH_BANDWIDTH)
+
+    @cached_property
+    def deviations(self) -> tuple[dict[str, float], dict[str, float]]:
+        """Standard deviations of all sizes, by full name: with the observer of the fit, and with the widest one."""
+        here, wide = (
+            {
+                f"{effect.label}.{size.name}": size.std
+                for effect in machine.effects
+                for size in sizes(effect, machine)
+            }
+            for machine in (with_uncertainty(fitted, self.data) for fitted in (self.fitted, self.wide))
+        )
+        return here, wide
 
     @cached_property
     def likeliest(self) -> Fit:
@@ -117,6 +139,7 @@ def effect_evidence(without: Fit, tested: TestedFit, effect: AppliedEffect) -> E
         tested: Fit of the machine with it, at the same observer bandwidth.
     """
     with_effect, data = tested.fitted, tested.data
+    held = data.updates == 1
 
     def narrower() -> Chance:
         return _chance(narrower_observer(without, data), tested.narrower, effect, data)
@@ -139,8 +162,28 @@ def effect_evidence(without: Fit, tested: TestedFit, effect: AppliedEffect) -> E
         additions=lambda: _additions(without, with_effect, effect, data),
         parameters=parameter_values(effect.label, with_effect),
         disagreement=_disagreement_of_sensors(without, with_effect, effect, data),
-        beside_voltages=beside_voltages if data.updates > 1 else None,
+        beside_voltages=None if held else beside_voltages,
+        sizes_by_observer=None if held or with_effect.error.widest else lambda: _sizes(tested, effect.label),
     )
+
+
+def _sizes(tested: TestedFit, label: str) -> list[SizeByObserver]:
+    """Return the sizes of an effect with the observer of the fit, and with the widest one."""
+    here, wide = (
+        next(e for e in fitted.machine.effects if e.label == label) for fitted in (tested.fitted, tested.wide)
+    )
+    fitted_names = {free.name for free in tested.fitted.free}
+
+    def std(name: str) -> float:
+        return math.hypot(*(by_name.get(name, math.inf) for by_name in tested.deviations))
+
+    return [
+        SizeByObserver(
+            p.name, here.parameters[p.name], wide.parameters[p.name], partial(std, f"{label}.{p.name}")
+        )
+        for p in here.definition.parameters
+        if p.amplitude and f"{label}.{p.name}" in fitted_names
+    ]
 
 
 def _chance(without: Fit, with_effect: Fit, effect: AppliedEffect, data: Dataset) -> Chance:

@@ -11,6 +11,7 @@ dimensionless amounts by which a quantity differs in the n runs.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -240,7 +241,8 @@ def _compared(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> list[R
         return []
 
     def explains(each: RunDifferences) -> bool:
-        return judge.explains_all_runs(each.chi2, common.floor, criteria)
+        by_run = dataclasses.replace(common.error, cost=each.chi2 * data.count)
+        return judge.explains_by_run(by_run, common.error, criteria)
 
     # From the machine of the runs that agree: thresholds of effects may be lost in a compromise with a different run.
     return [each._replace(explains=explains(each)) for each in _fits_by_run(fitted, data, common.chi2)]

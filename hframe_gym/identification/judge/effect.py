@@ -128,6 +128,23 @@ class Size:
 
 
 @dataclass(frozen=True)
+class SizeByObserver:
+    """A parameter without which an effect is absent, fitted with two observers.
+
+    Attributes:
+        name: Name of the parameter.
+        value: Its value with the observer of the search, in its unit.
+        wide: Its value with the widest observer.
+        std: Function that returns the standard deviation of their difference; this takes seconds.
+    """
+
+    name: str
+    value: float
+    wide: float
+    std: Measured
+
+
+@dataclass(frozen=True)
 class MachineBehavior:
     """How a machine with effects behaves outside the recordings.
 
@@ -163,6 +180,8 @@ class EffectEvidence:
             voltages are held.
         disagreement: Disagreement of the sensors without and with an error of one of them; None if the effect is none
             of a sensor, or no other sensor measures the same motions.
+        sizes_by_observer: Parameters without which the effect is absent, with the observer of the fits and with the
+            widest one; None if the voltages are held, or if the observer of the fits is the widest one.
     """
 
     without: FitError
@@ -180,6 +199,7 @@ class EffectEvidence:
     parameters: Sequence[ParameterValue] = ()
     beside_voltages: Measured | None = None
     disagreement: Callable[[], Disagreement] | None = None
+    sizes_by_observer: Callable[[], Sequence[SizeByObserver]] | None = None
 
     @property
     def gain(self) -> float:
@@ -244,6 +264,7 @@ def _doubt(evidence: EffectEvidence, criteria: SelectionCriteria, *, statistical
         or (statistical and _by_chance(evidence, criteria))
         or (statistical and _in_the_motion(evidence))
         or (statistical and _by_voltages(evidence, criteria))
+        or (statistical and _of_several_sizes(evidence, criteria))
         or _too_small(evidence, criteria)
         or _form_error(evidence, criteria)
     )
@@ -273,6 +294,30 @@ def _by_voltages(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
     if evidence.beside_voltages() >= CLEAR * chance_gain(evidence.chance().variance, criteria):
         return ""
     return "explains little more than chance may beside the voltages between the rows, which are not known"
+
+
+def _of_several_sizes(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
+    """Return the doubt that an effect imitates what controllers do between the rows; "" if it has one size.
+
+    What exists has the same size with every observer. A controller that answers vibrations between the rows changes
+    their phase, as a damping of belts does, but by another amount: the wider the observer, the faster the error that
+    determines the size, and the more of it is theirs. A size that is not known well with one observer is no other one.
+    """
+    if evidence.sizes_by_observer is None:
+        return ""
+    sizes = evidence.sizes_by_observer()
+    if not sizes or not all(_differs(size, criteria) for size in sizes):
+        return ""
+    values = " and ".join(f"{s.name} = {s.wide:.2g} instead of {s.value:.2g}" for s in sizes)
+    return f"has another size in fast errors ({values}), as what imitates voltages between the rows does"
+
+
+def _differs(size: SizeByObserver, criteria: SelectionCriteria) -> bool:
+    """Return whether two fits of one size differ clearly, and by more than chance."""
+    smaller, larger = sorted((size.value, size.wide), key=abs)
+    if CLEAR * smaller * math.copysign(1.0, larger) >= abs(larger):
+        return False
+    return abs(size.wide - size.value) > chance_deviations(criteria) * size.std()
 
 
 def _is_confirmed(gain: float, confirmed: float, criteria: SelectionCriteria) -> bool:

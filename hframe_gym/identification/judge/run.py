@@ -10,7 +10,7 @@ import numpy as np
 
 from ...arrays import Array
 from .criteria import SelectionCriteria
-from .error import AS_GOOD, CLEAR, FAR, FitError, Measured, is_enough
+from .error import AS_GOOD, CLEAR, FAR, FitError, Measured, is_enough, required_gain
 
 # Two runs may differ in almost any parameter, and two must agree with each other for another one to contradict them.
 MIN_RUNS_COMPARED = 3
@@ -213,6 +213,21 @@ def explains_all_runs(chi2: float, variance: float, criteria: SelectionCriteria)
         criteria: Decision threshold `explained_chi2`.
     """
     return chi2 < criteria.explained_chi2 * variance
+
+
+def explains_by_run(by_run: FitError, common: FitError, criteria: SelectionCriteria) -> bool:
+    """Return whether a value of a quantity in each run explains the runs, which one value for all of them does not.
+
+    It must reduce the error by as much as an effect must: values that differ without a reason also reduce it somewhat,
+    and of an error just above what counts as explained, this is enough to seem an explanation.
+
+    Args:
+        by_run: Error with a value in each run, with the widest observer.
+        common: Error with one value for all runs, with the same observer.
+        criteria: Decision thresholds `explained_chi2` and those of `required_gain`.
+    """
+    enough = is_enough(common, by_run, required_gain(common, criteria))
+    return enough and explains_all_runs(by_run.chi2, common.floor, criteria)
 
 
 def amounts_differ(amounts: Sequence[float], shared: float) -> bool:

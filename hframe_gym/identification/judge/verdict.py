@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from .criteria import SelectionCriteria
-from .error import AS_GOOD, CLEAR, SIZE_OF_VOLTAGES, FitError, required_gain
+from .error import AS_GOOD, CLEAR, SIZE_OF_VOLTAGES, FitError, is_enough, required_gain
 
 Verdict = Literal["effect_found", "no_effect", "unexplained"]
 
@@ -278,6 +278,8 @@ class DriftEvidence:
         values: Number of values that differ from the first run's, one less than the number of runs.
         explained: Function that returns whether the machine with effects explains the data in simulation.
         wide: Function that returns its error with the widest observer.
+        without: Function that returns the error with that observer and without these effects; None if they cannot be
+            removed alone.
         by_run: Function that returns the error with that observer and another value in each run, in place of these
             effects; None if no fit succeeds.
     """
@@ -286,14 +288,16 @@ class DriftEvidence:
     values: int
     explained: Callable[[], bool]
     wide: Callable[[], FitError]
+    without: Callable[[], FitError | None]
     by_run: Callable[[], FitError | None]
 
 
 def imitates_drift(evidence: DriftEvidence, criteria: SelectionCriteria) -> bool:
     """Return whether effects only imitate a parameter that differs from run to run.
 
-    They may if they leave an error in simulation, which an observer hides. Of both explanations, the one with fewer
-    unknowns holds unless the other one is better by as much as an effect must be: what changes over time must show
+    They may if they leave an error in simulation, which an observer hides, and if the values in each run explain
+    something: they must reduce the error without these effects by as much as an effect must. Of both explanations, the
+    one with fewer unknowns then holds unless the other one is better by as much: what changes over time must show
     within the runs where these are few, since any two of them may differ.
 
     Args:
@@ -302,9 +306,10 @@ def imitates_drift(evidence: DriftEvidence, criteria: SelectionCriteria) -> bool
     """
     if not evidence.unknowns or evidence.values < 1 or evidence.explained():
         return False
-    wide, by_run = evidence.wide(), evidence.by_run()
-    if by_run is None:
+    without, by_run = evidence.without(), evidence.by_run()
+    if without is None or by_run is None or not is_enough(without, by_run, required_gain(without, criteria)):
         return False
+    wide = evidence.wide()
     if evidence.unknowns < evidence.values:
         return by_run.chi2 < wide.chi2 - required_gain(wide, criteria)
     return not wide.chi2 < by_run.chi2 - required_gain(by_run, criteria)

@@ -275,10 +275,19 @@ class ModelSearch:
         states = sum(bool(e.definition.initial_spread) for e in over_time) * len(self._data.runs)
 
         @cache
-        def by_run() -> RunDifferences | None:
+        def without() -> Fit | None:
             start: Fit | None = after
             for effect in over_time:
                 start = start and without_effect(start, effect.label, self._data, self.before.machine)
+            return start
+
+        def error_without() -> FitError | None:
+            start = without()
+            return None if start is None else self._wide_error(start)
+
+        @cache
+        def by_run() -> RunDifferences | None:
+            start = without()
             return None if start is None else best_by_run(start, self._data)
 
         def error_by_run() -> FitError | None:
@@ -290,6 +299,7 @@ class ModelSearch:
             values=len(self._data.runs) - 1,
             explained=lambda: self._explains(self._refined(after)),
             wide=lambda: self._wide_error(after),
+            without=error_without,
             by_run=error_by_run,
         )
         found = imitates_drift(evidence, self._criteria) and by_run()

@@ -20,6 +20,7 @@ from hframe_gym.identification.judge.effect import (
     MachineBehavior,
     ParameterValue,
     Size,
+    SizeByObserver,
     TimingEvidence,
 )
 from hframe_gym.identification.judge.error import FitError
@@ -64,6 +65,15 @@ def by_chance(gain: float, ratio: float) -> Chance:
     return Chance(gain, LongRunVariance(ratio))
 
 
+def by_observer(value: float, wide: float, std: float) -> SizeByObserver:
+    """Return a size c with the observer of the search and with the widest one."""
+    return SizeByObserver("c", value, wide, lambda: std)
+
+
+OTHER_SIZE = (
+    "has another size in fast errors (c = 0.0042 instead of 0.00072), as what imitates voltages between the "
+    "rows does"
+)
 CHANCE = "reduces the error by no more than chance may, since the remaining error is correlated in time"
 BETWEEN_ROWS = (
     "explains little more than chance may beside the voltages between the rows, which are not known"
@@ -110,6 +120,19 @@ FORM = "adds 19 % to the force of drag@x, which depends on the same variable: th
         ({"disagreement": Disagreement(22_362.0, 21_912.0)}, ""),
         ({"beside_voltages": 49.0}, ""),  # twice what chance reaches
         ({"beside_voltages": 47.0}, BETWEEN_ROWS),
+        (
+            {"sizes_by_observer": (by_observer(7.43e-4, 9.18e-4, 4.4e-5),)},
+            "",
+        ),  # a damping of belts that is there
+        ({"sizes_by_observer": (by_observer(7.2e-4, 4.18e-3, 4.1e-4),)}, OTHER_SIZE),  # one that is not
+        ({"sizes_by_observer": (by_observer(7.2e-4, 4.18e-3, 7.2e-4),)}, ""),  # not known better
+        (
+            {"sizes_by_observer": (by_observer(-1.0, 1.0, 0.1),)},
+            "has another size in fast errors (c = 1 instead of -1), "
+            "as what imitates voltages between the rows does",
+        ),
+        ({"sizes_by_observer": (by_observer(1.0, 9.0, 0.1), by_observer(1.0, 1.9, 0.1))}, ""),
+        ({"sizes_by_observer": ()}, ""),
         ({"forces": Forces(0.202, 0.2)}, ""),
         (
             {"forces": Forces(0.198, 0.2), "forces_accurate": Forces(0.198, 0.1)},

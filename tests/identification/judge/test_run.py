@@ -75,6 +75,22 @@ def test_values_of_their_own_explain_in_units_of_the_innovations(chi2: float, ex
 
 
 @pytest.mark.parametrize(
+    ("common", "by_run", "explained"),
+    [
+        (1.502, 1.496, False),  # little less than what does not count as explained (a random rig)
+        (1.70, 1.61, True),
+        (1.70, 1.65, False),  # a tenth of the excess over 1.1 is required
+        (10.0, 1.66, False),
+    ],
+)
+def test_values_of_their_own_must_reduce_the_error_as_an_effect_must(
+    common: float, by_run: float, explained: bool
+) -> None:
+    of_all, of_each = (FitError(chi2 * 1e4, 1e4, 60.0, widest=True, floor=1.1) for chi2 in (common, by_run))
+    assert judge.explains_by_run(of_each, of_all, CRITERIA) == explained
+
+
+@pytest.mark.parametrize(
     ("amounts", "shared", "differ", "drift", "different"),
     [
         ([0.0, 0.1, 0.2, 0.3], 0.5, True, True, None),

@@ -94,7 +94,29 @@ def test_an_effect_over_time_may_imitate_a_parameter_that_differs_from_run_to_ru
     unknowns: int, values: int, explained: bool, by_run: float | None, imitated: bool
 ) -> None:
     evidence = DriftEvidence(
-        unknowns, values, lambda: explained, lambda: error(1.38), lambda: by_run and error(by_run)
+        unknowns,
+        values,
+        lambda: explained,
+        lambda: error(1.38),
+        lambda: error(2.0),
+        lambda: by_run and error(by_run),
+    )
+    assert judge.imitates_drift(evidence, CRITERIA) == imitated
+
+
+@pytest.mark.parametrize(
+    ("without", "imitated"),
+    [
+        (1.50, False),  # values in each run reduce the error less than an effect must (a random rig)
+        (1.52, True),
+        (None, False),
+    ],
+)
+def test_values_in_each_run_that_explain_little_are_not_imitated(
+    without: float | None, imitated: bool
+) -> None:
+    evidence = DriftEvidence(
+        11, 8, lambda: False, lambda: error(1.466), lambda: without and error(without), lambda: error(1.472)
     )
     assert judge.imitates_drift(evidence, CRITERIA) == imitated
 
