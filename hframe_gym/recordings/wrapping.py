@@ -96,6 +96,7 @@ def find_wrap(values: Array, moduli: Mapping[float, str]) -> Wrap | None:
     extent = float(np.ptp(measured)) if len(measured) else 0.0
     jumps = np.flatnonzero(np.abs(changes) > _JUMP * extent)
     regular = np.delete(changes, jumps)
+    jumps = jumps[jumps > 0]  # the first value may be left from the run before
     if len(jumps) == 0 or len(regular) < _MIN_VALUES:
         return None
     motions = np.array([_motion_around(changes, int(jump), extent) for jump in jumps])

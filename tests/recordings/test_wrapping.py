@@ -61,6 +61,14 @@ def test_counts_per_turn_are_told_from_a_power_of_two() -> None:
     assert wrap.modulus == 4000
 
 
+def test_a_first_value_left_from_the_run_before_does_not_hide_a_wrap() -> None:
+    counts = np.rint(60000.0 + 10000.0 * TIME)
+    counts[0] = 8.0
+    wrap = find_wrap(counts % 2**16, known_moduli(1.0, angle=False))
+    assert wrap is not None
+    assert (wrap.modulus, wrap.jumps) == (2**16, 1)
+
+
 def test_noise_at_the_end_of_the_turn_is_unwrapped() -> None:
     """A shaft that stands at the end of the turn jumps back and forth by noise alone, then it moves away."""
     angle = 1e-3 * np.random.default_rng(0).standard_normal(4000) + np.maximum(TIME - 2.0, 0.0)
