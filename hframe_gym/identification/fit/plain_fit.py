@@ -40,6 +40,7 @@ from ...recordings import bridge_blanks, comparison_window
 from ..budget import PLAIN_FIT_PART, Budget, goes_on
 from ..judge.chance import LongRunVariance, chance_gain, exceeds_chance
 from ..judge.criteria import SelectionCriteria
+from ..judge.effect import AT_LIMIT
 from ..judge.error import is_better_start
 from ..predict.free_parameters import FreeParameter, default_free_parameters, typical_force, values_at
 from ..predict.prediction import SEARCH_BANDWIDTH, SIMULATION
@@ -215,7 +216,7 @@ def _with_terms(start: Machine, without: Fit, terms: Sequence[AppliedEffect], eq
         if not goes_on():
             break
         trial = _fit_with_term(start, fits[-1], term, equal)
-        if trial.cost < fits[-1].cost:
+        if trial.cost < fits[-1].cost and not _ends_at_limit(trial, term):
             fits.append(trial)
     candidates = {term.label for term in terms}
     known = {_labels(fitted, candidates): fitted for fitted in fits}
@@ -257,6 +258,14 @@ def _removal(
         known[others] = fit(machine, free, equal, SIMULATION, theta=fitted.theta[kept])
     gain = known[others].cost - fitted.cost
     return _Removal(known[others], gain, long_run_variance(fitted, label, equal))
+
+
+def _ends_at_limit(fitted: Fit, term: AppliedEffect) -> bool:
+    """Return whether a delay ends at the limit of its range: it then takes the place of something else."""
+    if not term.definition.delay:
+        return False
+    present = next(e for e in fitted.machine.effects if e.label == term.label)
+    return any(present.parameters[p.name] >= (1.0 - AT_LIMIT) * p.upper for p in term.definition.parameters)
 
 
 def _fit_with_term(start: Machine, fitted: Fit, term: AppliedEffect, equal: Dataset) -> Fit:

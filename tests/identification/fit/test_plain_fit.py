@@ -101,6 +101,18 @@ def test_a_constant_force_is_a_term_of_the_plain_fit() -> None:
     assert plain.machine.parameters["constant_force@x.size"] == pytest.approx(1.5, rel=0.05)
 
 
+@pytest.mark.parametrize(("lag", "terms"), [(0.05, ("input_delay@drives",)), (0.12, ())])
+def test_a_delay_at_the_limit_of_its_range_is_no_term(lag: float, terms: tuple[str, ...]) -> None:
+    runs = measure(axis(TRUE), runs=2, seconds=2.0)
+    rows = round(lag / 2e-3)
+    early = [np.concatenate([run.inputs[rows:], run.inputs[-1:].repeat(rows, axis=0)]) for run in runs]
+    late = [dataclasses.replace(run, inputs=inputs) for run, inputs in zip(runs, early, strict=True)]
+    plain = plain_fit(axis(TRUE), prepare(late, axis(TRUE)))
+    assert plain is not None
+    assert plain.terms == terms
+    assert not any("input_delay@drives" in extended.terms for extended in plain.extended if not terms)
+
+
 def test_a_speed_without_sign_is_fitted_from_many_points() -> None:
     """There is no balance of forces without a direction; dry friction is not declared."""
     counter = (Sensor("speed_m_s", {"x": 1.0}, NOISE, 0.0, "unsigned-speed"),)
