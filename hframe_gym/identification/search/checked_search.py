@@ -47,8 +47,6 @@ _HINT = (
     "If the held-out runs are fitted as well, {} would explain all runs, but no other run confirms it. Record another "
     "run such as {} and identify again."
 )
-
-
 _BETWEEN_ROWS = (
     "In this log, {}. They are interpolated; {}. `hframe simulate` interpolates them with --updates {}."
 )
@@ -56,7 +54,6 @@ _PLAIN_ENDED = (
     "The plain fit ended after {:.0f} s of processor time, its part of the budget, with its best parameters so far. A "
     "larger --budget completes it."
 )
-
 
 BeforeSearch = Callable[[PlainFit | None, Dataset, Dataset], None]
 
@@ -198,9 +195,11 @@ def _search_and_check(
         refitted = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
     if can_show_updates(data):
         log(f"comparing held {machine.commands_in_words} with some that change between the rows")
-    updates, known, knows_errors = voltage_updates(refitted, data, criteria), machine, False
+    updates, responding, fitted_with_errors = voltage_updates(refitted, data, criteria), machine, False
     search = partial(_search, machine, refitted=refitted, criteria=criteria, log=log, budget=budget)
-    rejected: dict[int, int] = {}
+    rejected: dict[
+        int, int
+    ] = {}  # changes of the voltages a row that were refuted, and the effects known by then
     selected: tuple[SelectedEffect, ...] = ()  # by a search that assumed other voltages
     while True:
         fitted, validation, messages = data, held_out, (*unused, *excluded)
@@ -209,7 +208,7 @@ def _search_and_check(
             changes = updates.describe(commands, data.period)
             log(f"{changes}; they are interpolated")
             fitted, validation = interpolated(
-                known, updates.per_row, data, held_out, log, knows_errors=knows_errors
+                responding, updates.per_row, data, held_out, log, fitted_with_errors=fitted_with_errors
             )
             quality = describe_interpolation(refitted.machine, fitted)
             messages = (*messages, _BETWEEN_ROWS.format(changes, quality, updates.per_row))
@@ -229,8 +228,8 @@ def _search_and_check(
             return found if different is None else found.without_run(different)
         except VoltagesChangeError as change:
             rejected[updates.per_row] = len(change.machine.effects)
-            knows_errors = updates.per_row > 1
-            updates, known, selected = change.updates, change.machine, change.selected
+            fitted_with_errors = updates.per_row > 1
+            updates, responding, selected = change.updates, change.machine, change.selected
 
 
 def _different_run(
@@ -249,12 +248,13 @@ def _different_run(
 
 
 def interpolated(
-    machine: Machine, updates: int, data: Dataset, held_out: Dataset, log: Log, *, knows_errors: bool
+    machine: Machine, updates: int, data: Dataset, held_out: Dataset, log: Log, *, fitted_with_errors: bool
 ) -> tuple[Dataset, Dataset]:
     """Return runs whose voltages are interpolated between the rows, with the errors that this causes.
 
-    What errors of the voltages do to the predictions follows from a machine that is fitted to the runs. Without these
-    errors, a fit takes the motion that they cause for friction, so that one which knew them is not repeated.
+    How the predictions respond to errors of the voltages follows from a machine that is fitted to these runs. A fit
+    that does not allow for these errors takes the motion that they cause for friction. A machine that was fitted with
+    them is therefore not fitted again without them.
 
     Args:
         machine: Machine that shows how the predictions respond to the voltages.
@@ -262,7 +262,8 @@ def interpolated(
         data: Runs to fit, with held voltages.
         held_out: Held-out runs, with held voltages.
         log: Called with a line of text.
-        knows_errors: Whether the machine was fitted with errors of interpolated voltages; otherwise it is refitted.
+        fitted_with_errors: Whether the fit of the machine allowed for errors of interpolated voltages; otherwise it
+            is fitted to these runs first.
 
     Returns:
         Runs to fit, and held-out runs.
@@ -270,7 +271,7 @@ def interpolated(
     data, held_out, _ = with_lost_voltages(
         machine, data.with_updates(updates), held_out.with_updates(updates), log
     )
-    if not knows_errors:
+    if not fitted_with_errors:
         machine = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH).machine
     return with_voltage_errors(machine, data), with_voltage_errors(machine, held_out)
 
@@ -297,7 +298,7 @@ def _search(
             log(f"{', '.join(differing)} contradicts these runs as well; searching in all fitted runs")
         return not differing
 
-    known = refitted if start is machine and not data.has_voltage_errors else None
+    refit = refitted if start is machine and not data.has_voltage_errors else None
     outcome = search_effects(
         start,
         data,
@@ -306,7 +307,7 @@ def _search(
         confirmed=confirmed,
         budget=budget,
         ends=stage_ends(machine, in_part=all_rows is not None),
-        refitted=known,
+        refitted=refit,
         known=selected,
     )
     if all_rows is not None:

@@ -269,12 +269,12 @@ def test_a_delay_within_the_accuracy_of_the_times_is_no_other_number(
     assert (updates and updates.per_row) == expected
 
 
-@pytest.mark.parametrize("knows_errors", [False, True])
-def test_a_machine_that_was_fitted_with_errors_of_the_voltages_shows_them(knows_errors: bool) -> None:
+@pytest.mark.parametrize("fitted_with_errors", [False, True])
+def test_a_machine_that_was_fitted_with_errors_of_the_voltages_shows_them(fitted_with_errors: bool) -> None:
     """A carriage of half the mass responds to the voltages twice as much."""
     light, data = AXIS.replace({"x.mass": 0.5 * RIG.coordinates[0].mass}), slow_log(4)
-    fitted, held_out = interpolated(light, 4, data, data, print, knows_errors=knows_errors)
-    expected = light if knows_errors else refitted(data.with_updates(4)).machine
+    fitted, held_out = interpolated(light, 4, data, data, print, fitted_with_errors=fitted_with_errors)
+    expected = light if fitted_with_errors else refitted(data.with_updates(4)).machine
     errors = with_voltage_errors(expected, data.with_updates(4)).runs[0].voltage_errors
     assert errors is not None
     for run in (fitted.runs[0], held_out.runs[0]):
