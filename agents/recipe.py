@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import tomllib
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from importlib import resources
+from pathlib import Path
 from typing import Any
 
 from ..controllers import MotionModel, TransferDesign
 from ..envs import TASKS, EnvConfig, Task, as_task
 from ..errors import InputError, suggestion
+from ..files import read_document
 from ..machine import METERS, AxisUnit, Machine
 
 ALGORITHMS = ("ppo", "sac", "tqc", "crossq", "apg")
@@ -194,12 +196,17 @@ def load_recipe(name: str, task: str) -> Recipe:
     in place of the recipe's.
 
     Args:
-        name: First part of the recipe's name, for example "ppo", "sac", "sac_her", "residual" or "adapt".
+        name: First part of the recipe's name, for example "ppo", "sac", "sac_her", "residual" or "adapt", or the path
+            of a recipe of your own, a file that ends in .toml. If it has `base = "ppo"`, it states what differs from
+            the package's recipe `ppo`.
         task: Name of the task, for example "reach", or `module:name`.
 
     Raises:
-        InputError: If the task is unknown, or there is no such recipe; the message lists the available recipes.
+        InputError: If the task is unknown, a file is no recipe, or there is no such recipe; the message lists the
+            available recipes.
     """
+    if name.endswith(".toml"):
+        return _read_recipe(Path(name), task)
     trained = recipe_task(task)
     file = resources.files(__package__) / "recipes" / f"{name}_{trained}.toml"
     if not file.is_file():
@@ -211,3 +218,35 @@ def load_recipe(name: str, task: str) -> Recipe:
         )
     recipe = Recipe(name=f"{name}_{trained}", **tomllib.loads(file.read_text("utf-8")))
     return recipe if trained == task else replace(recipe, task={})
+
+
+def _read_recipe(path: Path, task: str) -> Recipe:
+    """Read a recipe from a file of the user, complete or as changes of the one that it names as `base`."""
+    try:
+        content = tomllib.loads(read_document(path))
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise InputError(f"{path}: is no valid TOML: {error}") from None
+    forms = {
+        f.name: {"str": str, "int": int}.get(str(f.type), dict) for f in fields(Recipe) if f.name != "name"
+    }
+    for key, value in content.items():
+        form = forms.get(key, str if key == "base" else None)
+        if form is None:
+            choices = ", ".join(("base", *forms))
+            raise InputError(
+                f"{path}: {key} is no entry of a recipe, which has {choices}{suggestion(key, forms)}"
+            )
+        if type(value) is not form:
+            wanted = {str: "a text", int: "a whole number", dict: f"a table [{key}]"}[form]
+            raise InputError(f"{path}: {key} is {value!r}, it must be {wanted}")
+    base = content.pop("base", "")
+    if base:
+        recipe = load_recipe(base, task)
+        tables = {k: {**getattr(recipe, k), **v} for k, v in content.items() if isinstance(v, dict)}
+        return replace(recipe, name=path.stem, **content | tables)
+    missing = [key for key in ("kind", "steps", "env", "algorithm", "policy") if key not in content]
+    if missing:
+        raise InputError(
+            f'{path}: {missing[0]} is missing; state it, or the recipe that this one changes: base = "ppo"'
+        )
+    return Recipe(name=path.stem, **content)

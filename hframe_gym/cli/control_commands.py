@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 @app.command(cls=CommandWithChoices)
 def train(
-    algorithm: Annotated[str, Argument(help="Recipe: {algorithms}.")],
+    algorithm: Annotated[str, Argument(help="Recipe: {algorithms}; or a recipe of your own, FILE.toml.")],
     out: OutOption,
     machine: MachineOption = "hframe",
     task: TaskOption = "reach",

@@ -14,7 +14,7 @@ from ..dynamics import DifferentiableMotion, Friction, Motions, NotFiniteError, 
 from ..dynamics.simulation import DIVERGED
 from ..envs.workspace import EndStops, tool_terms
 from ..errors import InputError
-from ..machine import Machine, rest_state
+from ..machine import Machine, require_machine, rest_state
 
 Tensor = TypeVar("Tensor")  # array of the library that differentiates
 
@@ -41,8 +41,9 @@ class Stage(ABC, Generic[Tensor]):
         rated: Rated voltages of the drives, V, shape (drives,): what the action 1 of an environment applies.
 
     Raises:
-        InputError: If the period or step is not positive, `friction` is unknown, a sensor measures an acceleration or
-            a current, or end stops need a workspace that the machine does not declare.
+        InputError: If a value of the machine is impossible, the period or step is not positive, `friction` is unknown,
+            a sensor measures an acceleration or a current, or end stops need a workspace that the machine does not
+            declare.
     """
 
     def __init__(
@@ -56,6 +57,7 @@ class Stage(ABC, Generic[Tensor]):
         parallel: bool = True,
     ) -> None:
         self.check_library()
+        require_machine(machine)
         felt = [s.channel for s in machine.sensors if s.sensed.jumps]
         if felt:
             raise InputError(

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Literal, TypeAlias, TypedDict
 
 from ..errors import InputError, is_number
-from ..machine import Machine
+from ..machine import Machine, require_machine
 from .actuation.actuators import ActuatorsLike
 from .observation.sensors import SensorsLike
 from .randomization.domain_randomization import RandomizationLike
@@ -155,8 +155,9 @@ def check_render_mode(mode: str | None, modes: Sequence[str]) -> str | None:
 
 
 def as_machine(machine: MachineLike) -> Machine:
-    """Return the machine of the environment option `machine`; an InputError refuses unknown names, invalid files."""
+    """Return the machine of the environment option `machine`; an InputError refuses unknown names, invalid values."""
     if isinstance(machine, Machine):
+        require_machine(machine)
         return machine
     from ..recordings import load_machine  # pydantic takes long to import and a Machine does not need it
 

@@ -52,7 +52,7 @@ class Coordinate(Component):
     coulomb: Annotated[float, Number("force", lower=0.0, role="parameter")] = 0.0
     kind: Annotated[CoordinateKind, Plain("text")] = "linear"
     radius: Annotated[float, Number("m", role="parameter", plausible=1.0)] = 1.0
-    range: Annotated[tuple[float, float] | None, Number("position", plausible=10.0)] = None
+    range: Annotated[tuple[float, float] | None, Number("position", -LARGEST, plausible=10.0)] = None
 
     @classmethod
     @override
@@ -208,6 +208,13 @@ class Drive(Component):
     def parameter_values(self) -> dict[str, float]:
         law = self.law_parameters
         return {name: law[name] if name in law else getattr(self, name) for name in self.parameter_names}
+
+    @override
+    def require_possible(self) -> None:
+        super().require_possible()
+        law = DRIVE_KINDS.get(self.kind).law
+        if law:
+            law.at(self.name, **self.law_parameters)
 
     @override
     def with_values(self, values: Mapping[str, Any]) -> Drive:

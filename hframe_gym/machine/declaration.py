@@ -17,6 +17,7 @@ from functools import cache
 from types import NoneType
 from typing import Annotated, Any, ClassVar, Literal, get_args, get_origin, get_type_hints
 
+from ..errors import InputError
 from ..registry import Registry
 
 CoordinateKind = Literal["linear", "rotary"]
@@ -80,6 +81,14 @@ class Number:
     plausible: float = LARGEST
     std: str = ""
     older_unit: str = ""
+
+    def limits(self, refused: float) -> str:
+        """Say which values are possible, as the end of a sentence that refuses the number `refused`, SI."""
+        between = f"between {self.lower:g} and {self.upper:g}"
+        if self.lower < 0.0:
+            return between
+        sign = "positive" if self.lower > 0.0 else "zero or more"
+        return sign if refused <= 0.0 else f"{sign}, {between}"
 
 
 @dataclass(frozen=True)
@@ -221,6 +230,16 @@ class Component:
     def device_parameters(self) -> dict[str, float]:
         """Values of the parameters that do not enter the equations of motion, by name in alphabetical order."""
         return {name: getattr(self, name) for name in sorted(self.names("device"))}
+
+    def require_possible(self) -> None:
+        """Raise an InputError if a number is not finite or lies outside its bounds."""
+        for name, declared in self.numbers().items():
+            value = getattr(self, name)
+            for number in value if isinstance(value, tuple) else (value,):
+                if number is not None and not declared.lower <= number <= declared.upper:
+                    raise InputError(
+                        f"{self.label}.{name} is {number:g}; it must be {declared.limits(number)}"
+                    )
 
     def with_values(self, values: Mapping[str, Any]) -> Any:
         """Return a copy with other values of attributes, SI, by name; whole numbers are rounded."""

@@ -509,9 +509,15 @@ class Machine:
 
 
 def require_machine(machine: object) -> None:
-    """Raise an InputError if an argument is no machine, such as the name or the file of one."""
+    """Raise an InputError if an argument is no machine, such as the name or the file of one, or an impossible one.
+
+    The values of a file are checked when it is read, and those of effects when they are applied. A program may have
+    given a component a negative mass, or one that is not a number.
+    """
     if not isinstance(machine, Machine):
         raise InputError(f"machine is {machine!r}; give a Machine, such as that of load_machine('hframe')")
+    for component in (*machine.coordinates, *machine.belts, *machine.drives, *machine.sensors):
+        component.require_possible()
 
 
 def _with_values(part: Component | AppliedEffect, values: Mapping[str, float]) -> Any:

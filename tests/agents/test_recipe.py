@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from hframe_gym.agents import load_recipe, recipe_names
+from hframe_gym.agents import Recipe, load_recipe, recipe_names
 from hframe_gym.agents.recipe import LinearSchedule
 from hframe_gym.envs import TASKS, Track
 from hframe_gym.errors import InputError
@@ -64,3 +64,40 @@ def test_noise_that_depends_on_the_state_is_an_option_of_the_algorithm():
     recipe = load_recipe("ppo", "reach")
     with pytest.raises(InputError, match="recipe ppo_reach: policy has use_sde; move it to algorithm"):
         replace(recipe, policy={**recipe.policy, "use_sde": True})
+
+
+def test_a_file_states_what_differs_from_a_recipe_of_the_package(tmp_path):
+    file = tmp_path / "mine.toml"
+    file.write_text('base = "ppo"\nsteps = 5000\n[algorithm]\nuse_sde = true\n', "utf-8")
+    base = load_recipe("ppo", "reach")
+    expected = replace(base, name="mine", steps=5000, algorithm={**base.algorithm, "use_sde": True})
+    assert load_recipe(str(file), "reach") == expected
+
+
+def test_a_complete_recipe_is_read_from_a_file(tmp_path):
+    file = tmp_path / "mine.toml"
+    file.write_text('kind = "sac"\nsteps = 10\n[env]\n[algorithm]\ngamma = 0.9\n[policy]\n', "utf-8")
+    assert load_recipe(str(file), "reach") == Recipe("mine", "sac", 10, {}, {"gamma": 0.9}, {})
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("steps = ", "is no valid TOML: Invalid value"),
+        ("stepps = 10", "stepps is no entry of a recipe, .* did you mean 'steps'"),
+        ('steps = "10"', "steps is '10', it must be a whole number"),
+        ("algorithm = 3", r"algorithm is 3, it must be a table \[algorithm\]"),
+        ("steps = 10", 'kind is missing; state it, or the recipe that this one changes: base = "ppo"'),
+        ('base = "dqn"', "there is no recipe for dqn on reach"),
+    ],
+)
+def test_a_file_that_is_no_recipe_is_refused_with_its_entry(tmp_path, content, message):
+    file = tmp_path / "mine.toml"
+    file.write_text(content, "utf-8")
+    with pytest.raises(InputError, match=message):
+        load_recipe(str(file), "reach")
+
+
+def test_a_missing_file_is_refused_by_name(tmp_path):
+    with pytest.raises(InputError, match=r"none\.toml: cannot be read"):
+        load_recipe(str(tmp_path / "none.toml"), "reach")

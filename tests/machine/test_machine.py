@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
+import hframe_gym
 from hframe_gym.dynamics import Equations
 from hframe_gym.effects import EFFECTS
 from hframe_gym.errors import InputError
@@ -237,3 +240,30 @@ def test_the_range_of_a_sensor_is_that_of_all_effects_that_limit_it(hframe: Mach
     )
     assert hframe.measuring_ranges == {}
     assert limited.measuring_ranges == {"x_m": (-0.1, 0.1)}
+
+
+@pytest.mark.parametrize(
+    ("component", "attribute", "value", "message"),
+    [
+        ("x", "mass", -1.0, "x.mass is -1; it must be positive"),
+        ("x", "mass", math.nan, "x.mass is nan"),
+        ("y", "coulomb", -2.0, "y.coulomb is -2; it must be zero or more"),
+        ("motor1", "resistance", 0.0, "motor1.resistance is 0; it must be positive"),
+        ("x", "range", (0.0, math.inf), "x.range is inf; it must be between -1e[+]30 and 1e[+]30"),
+    ],
+)
+def test_values_that_a_program_gives_a_machine_are_checked(
+    component: str, attribute: str, value: Any, message: str
+) -> None:
+    machine = BUILTIN_MACHINES["hframe"]()
+    changed: dict[str, Any] = {
+        kind: tuple(dataclasses.replace(c, **{attribute: value}) if c.name == component else c for c in found)
+        for kind, found in (("coordinates", machine.coordinates), ("drives", machine.drives))
+    }
+    impossible = machine.replace(**changed)
+    with pytest.raises(InputError, match=message):
+        hframe_gym.load_machine(impossible)
+    with pytest.raises(InputError, match=message):
+        hframe_gym.simulate(impossible, [0.0, 0.1], np.zeros((2, 2)))
+    with pytest.raises(InputError, match=message):
+        gym.make("HFrame-v0", machine=impossible)

@@ -29,10 +29,11 @@ def load_machine(source: str | Path | Machine) -> Machine:
             machine, which is returned unchanged.
 
     Raises:
-        InputError: If the source is of another type, neither a file nor a preset, or a field of the file is invalid.
-            The message names the file and the field.
+        InputError: If the source is of another type, neither a file nor a preset, or a field of the file or a value of
+            the machine is invalid. The message names the file and the field.
     """
     if isinstance(source, Machine):
+        require_machine(source)
         return source
     if not isinstance(source, str | PathLike):
         presets = ", ".join(BUILTIN_MACHINES)

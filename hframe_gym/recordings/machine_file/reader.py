@@ -179,11 +179,7 @@ class MachineReader:
         if given.unit not in (unit, declared.older_unit or unit):
             raise self._error(field, f"unit is {given.unit!r}, must be {unit!r}")
         if not declared.lower <= given.value <= declared.upper:
-            limits = f"between {declared.lower:g} and {declared.upper:g}"
-            sign = "positive" if declared.lower > 0.0 else "zero or more"
-            if declared.lower >= 0.0:
-                limits = sign if given.value <= 0.0 else f"{sign}, {limits}"
-            raise self._error(field, f"{given.value:g} must be {limits}")
+            raise self._error(field, f"{given.value:g} must be {declared.limits(given.value)}")
 
     def _check_interval(self, field: str, interval: tuple[float, float]) -> None:
         """Refuse an interval that ends before it begins."""
