@@ -109,8 +109,8 @@ def identify(
     # Validate: effects must be certain; held-out runs judge verdict and names; nothing worse than a plain fit or the
     # file is delivered.
     certain = with_certain_effects(found.outcome, criteria, log)
-    evaluated = judged(tests.of(found.held_out).evaluate(certain), found.differing, log)
-    delivered = no_worse(evaluated, found.plain, log, budget)
+    judgment = judged(tests.of(found.held_out).evaluate(certain), found.differing, log)
+    delivered = no_worse(judgment, found.plain, log, budget)
     outcome = delivered.evaluated.outcome
     remarks = (*found.remarks, *delivered.remarks)
     differences = RunDifferencesInWords()
@@ -119,7 +119,7 @@ def identify(
         runs = representative_part(found.comparable_runs(session.data), machine, every_run=True)
         # From the machine of the search: the one that is delivered may describe what the runs do not have in common.
         with suppress(BudgetEndedError), budget.limiting(LAST_STAGE_END):
-            differences = describe_run_differences(evaluated.outcome.after, runs, criteria)
+            differences = describe_run_differences(judgment.evaluated.outcome.after, runs, criteria)
 
     # Report.
     result = build_result(delivered, found, remarks, differences, budget)

@@ -123,7 +123,7 @@ def _hint(result: IdentificationResult) -> Hint | None:
     if result.verdict != "unexplained" or not result.dependence:
         return None
     strongest: Dependence = result.dependence[0]
-    component = strongest.component or next(iter(result.after.deviating_sensors), strongest.coordinate)
+    component = strongest.component or next(iter(result.deviating_sensors), strongest.coordinate)
     nearest = sorted(result.considered, key=lambda entry: -entry.held_out_gain)
     labels = dict.fromkeys(entry.effect.label for entry in nearest if entry.held_out_gain > 0.0)
     return Hint(

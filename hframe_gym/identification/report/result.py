@@ -154,6 +154,11 @@ class IdentificationResult:
         return dict(zip(document.STAGES, (self.declared, self.before, self.after), strict=True))
 
     @property
+    def deviating_sensors(self) -> tuple[str, ...]:
+        """Sensors that deviate alone; without a name, of the refitted machine, since a description hides the place."""
+        return (self.before if self.verdict == "unexplained" else self.after).deviating_sensors
+
+    @property
     def limit_warnings(self) -> tuple[str, ...]:
         """Warnings about masses, belt stiffnesses and torque constants at the limit of the fit, one sentence each."""
         return tuple(parameters_at_limit(self.after.machine, self.declared.machine).values())
@@ -225,7 +230,7 @@ class IdentificationResult:
                     for d in self.dependence
                 ],
                 white=self.white,
-                sensors=list(self.after.deviating_sensors),
+                sensors=list(self.deviating_sensors),
             ),
             explained=_finite_or_none(self.explained),
             left=_finite_or_none(self.left),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...web_page import number
-from .document import STAGES, Report
+from .document import STAGES, Report, compared_machines
 from .remainder import DIVERGES, cause_of_remainder, drifts, largest_position_error, remainder_in_words
 from .units import readable_unit
 
@@ -113,6 +113,8 @@ def _verdict_sentence(report: Report) -> str:
     text = f"The error of the refitted model on the held-out runs is {before} {unit}, and no known effect explains it."
     if report.plain and report.plain.delivered:
         text += f" A plain fit of inertia and friction leaves {after} {unit}, and is delivered."
+    elif not report.effects and "after" in compared_machines(report):
+        text += f" The machine that is delivered leaves {after} {unit}, but names no cause."
     why = [f"Why no other verdict is given: {report.reason}."] if report.reason else []
     parts = [
         text,

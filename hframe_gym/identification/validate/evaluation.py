@@ -208,7 +208,19 @@ class Evaluated(NamedTuple):
         return refine_dataset(self.test.validation, self.after.machine, self.outcome.data)
 
 
-def judged(evaluated: Evaluated, differing: Sequence[str], log: Log) -> Evaluated:
+class Judged(NamedTuple):
+    """What the held-out runs say of an outcome.
+
+    Attributes:
+        evaluated: The outcome with its machines, without effects that must not be named.
+        withdrawn: The same with the effects that the held-out runs do not permit to name; None if there are none.
+    """
+
+    evaluated: Evaluated
+    withdrawn: Evaluated | None = None
+
+
+def judged(evaluated: Evaluated, differing: Sequence[str], log: Log) -> Judged:
     """Let the held-out runs judge the names of effects and the verdict.
 
     Where they permit no names, they judge the refitted machine, which may need no effect.
@@ -219,19 +231,21 @@ def judged(evaluated: Evaluated, differing: Sequence[str], log: Log) -> Evaluate
         log: Called with a line of text for each effect that is not named.
 
     Returns:
-        The outcome with its machines, without effects that must not be named, and the reason if the held-out runs
-        contradict.
+        The outcome without effects that must not be named, with the reason if the held-out runs contradict, and the one
+        with them.
     """
-    reason, outcome = _contradiction(evaluated, differing), evaluated.outcome
+    reason, outcome, withdrawn = _contradiction(evaluated, differing), evaluated.outcome, None
     if not reason:
-        return evaluated
+        return Judged(evaluated)
     if outcome.selected:
         for s in outcome.selected:
             log(f"  {s.effect.label} is not named: {reason}")
+        withdrawn = evaluated
         evaluated = evaluated.test.evaluate(without_names(outcome, reason))
         if evaluated.outcome.verdict == "no_effect" and not _contradiction(evaluated, differing):
-            return evaluated
-    return evaluated._replace(outcome=evaluated.outcome._replace(verdict="unexplained"), reason=reason)
+            return Judged(evaluated, withdrawn)
+    outcome = evaluated.outcome._replace(verdict="unexplained")
+    return Judged(evaluated._replace(outcome=outcome, reason=reason), withdrawn)
 
 
 def _contradiction(evaluated: Evaluated, differing: Sequence[str]) -> str:

@@ -1,6 +1,8 @@
 """Compare the machine of the search with a plain fit and with the file, and deliver none that predicts worse.
 
-Where the search names nothing, the remaining error of complete runs is described beside the better of both.
+Where no cause is named, effects may describe the remaining error of complete runs: those whose names the held-out runs
+withdrew, on a machine with belts too, and others that are searched for beside the better of refitted machine and plain
+fit.
 """
 
 from __future__ import annotations
@@ -22,8 +24,8 @@ from ..judge.criteria import SelectionCriteria
 from ..judge.verdict import description_helps, forces_contradict, is_worse_than, needs_description
 from ..predict.prediction import SIMULATION
 from ..search.forward_selection import EffectSearch
-from ..search.outcome import VoltagesChangeError, without_names
-from .evaluation import Evaluated, HeldOutTest, HeldOutTests, with_certain_effects
+from ..search.outcome import SearchOutcome, VoltagesChangeError, without_names
+from .evaluation import Evaluated, HeldOutTest, HeldOutTests, Judged, with_certain_effects
 from .machine_errors import ModelEvaluation, error_ratio
 
 _MAX_EFFECTS = 2  # Each further one takes longer and removes less.
@@ -119,20 +121,24 @@ def _runs_to_report(test: HeldOutTest, fitted: Dataset) -> float:
     return len(fitted.runs) / len(test.held_out.runs)
 
 
-def no_worse(evaluated: Evaluated, plain: PlainFit | None, log: Log, budget: Budget) -> Delivered:
+def no_worse(judgment: Judged, plain: PlainFit | None, log: Log, budget: Budget) -> Delivered:
     """Compare the outcome with the plain fit and the declared machine, and deliver none that predicts worse.
 
-    If one of them takes the place of a machine with effects, that is the reason why none is named.
+    If one of them takes the place of a machine with effects, that is the reason why none is named. Where no cause is
+    named, a machine with effects that describe what is left takes the place of one without.
 
     Args:
-        evaluated: Outcome of a search with its machines.
+        judgment: Outcome of a search with its machines, as the held-out runs judge it.
         plain: Plain fit to the fitted runs, if there is one.
         log: Called with a line of text.
         budget: Budget of the identification, of which a description may use a part.
     """
+    evaluated = judgment.evaluated
     result, delivered, sentence = None, evaluated, ""
     if plain is not None:
-        result, delivered, sentence = _compared(evaluated, plain, log, budget)
+        result, delivered, sentence = _compared(judgment, plain, log, budget)
+    elif (described := _described(judgment, evaluated.before, (), log, budget)) is not None:
+        delivered, sentence = described
     if _is_worse(delivered.after, evaluated.declared, delivered.test):
         sentence = _DECLARED_DELIVERED.format(error_ratio(delivered.after, evaluated.declared))
         log(sentence)
@@ -145,21 +151,24 @@ def no_worse(evaluated: Evaluated, plain: PlainFit | None, log: Log, budget: Bud
 
 
 def _compared(
-    evaluated: Evaluated, plain: PlainFit, log: Log, budget: Budget
+    judgment: Judged, plain: PlainFit, log: Log, budget: Budget
 ) -> tuple[PlainResult, Evaluated, str]:
     """Return the plain fit with its errors, the outcome that is delivered, and what replaced the search's machine."""
+    evaluated = judgment.evaluated
     outcome, test = evaluated.outcome, evaluated.test
     certain, plain, reference = confirmed(plain, evaluated)
     result = PlainResult(reference, plain.terms)
     log(f"plain fit: {reference.held_out.noise_ratio:.4g} times the noise on the held-out runs")
+    plain_fits: tuple[PlainFit, ...] = ()
     if not test.session.machine.belts:
+        plain_fits = (plain,) if plain is certain else (plain, certain)
         budget.reserve(
             test.seconds() * (1.0 + _runs_to_report(test, outcome.data))
         )  # a description, the report
-        base = reference if _is_worse(evaluated.before, reference, test) else evaluated.before
-        described = _described(evaluated, certain, base, log, budget)
-        if described is not None:
-            return result, *described
+    base = reference if _is_worse(evaluated.before, reference, test) else evaluated.before
+    described = _described(judgment, base, plain_fits, log, budget)
+    if described is not None:
+        return result, *described
     ratio = error_ratio(evaluated.after, reference)
     if outcome.selected and ratio > 1.0:  # their parameters were fitted to short predictions
         with budget.limiting(LAST_STAGE_END, delivers=True):
@@ -235,35 +244,80 @@ def _declared(evaluated: Evaluated) -> Fit:
     return Fit(machine, (), np.zeros(0), cost, data.count, SIMULATION, np.zeros((0, 0)))
 
 
+class _Description(NamedTuple):
+    """Outcome without names whose machine describes what is left, and a sentence about it."""
+
+    evaluated: Evaluated
+    sentence: str
+
+
 def _described(
-    evaluated: Evaluated, plain: PlainFit, base: ModelEvaluation, log: Log, budget: Budget
-) -> tuple[Evaluated, str] | None:
-    """Return an outcome without names whose machine describes what is left, and a sentence about it.
+    judgment: Judged, base: ModelEvaluation, plain_fits: Sequence[PlainFit], log: Log, budget: Budget
+) -> _Description | None:
+    """Return the description of what is left that predicts the held-out runs best.
 
     None if effects are named, only noise is left, or the held-out runs are predicted no better than by `base`, the
-    machine without a description.
+    machine without a description. Effects whose names were withdrawn come first. Others are searched for beside each of
+    the plain fits, one after the other while time is left and more than noise remains: a term that is none, although
+    the held-out runs confirm it, may take the place of a part of the description.
     """
+    evaluated, withdrawn = judgment
     outcome, test = evaluated.outcome, evaluated.test
-    left = evaluated.after.held_out.noise_ratio
-    if not needs_description(outcome.verdict, len(outcome.selected), left, test.criteria):
+
+    def needed(model: ModelEvaluation) -> bool:
+        left = model.held_out.noise_ratio
+        return needs_description(outcome.verdict, len(outcome.selected), left, test.criteria)
+
+    if not needed(evaluated.after):
         return None
+    best = None
+    if withdrawn is not None:
+        labels = tuple(s.effect.label for s in withdrawn.outcome.selected)
+        best = _better_description(best, withdrawn.outcome.after, labels, evaluated, base, log)
+    if not plain_fits:
+        return best
+    starts = _starts(outcome, plain_fits, budget)
+    ends = budget.spent + min(_BUDGET_PART * budget.seconds, _LONGEST)
+    part = representative_part(outcome.data, starts[0].machine)
+    for start in starts:
+        if best is not None and not needed(best.evaluated.after):
+            break
+        for fitted, labels in descriptions(start, part, test.criteria, log, budget, ends - budget.spent):
+            best = _better_description(best, fitted, labels, evaluated, base, log)
+    return best
+
+
+def _better_description(
+    best: _Description | None,
+    fitted: Fit,
+    labels: Sequence[str],
+    evaluated: Evaluated,
+    base: ModelEvaluation,
+    log: Log,
+) -> _Description | None:
+    """Return a machine with effects as a description if it is clearly better than the best one, or else that one."""
+    again = evaluated.test.evaluate(evaluated.outcome._replace(after=fitted))
+    ratio = error_ratio(again.after, base)
+    helps = description_helps(error_ratio(again.after, best.evaluated.after if best else base))
+    log(description_line(labels, ratio, helps=helps))
+    if not helps:
+        return best
+    lacking, without = again.after.held_out.lacking, evaluated.before.held_out.lacking
+    return _Description(again, description_sentence(labels, ratio, lacking, without))
+
+
+def _starts(outcome: SearchOutcome, plain_fits: Sequence[PlainFit], budget: Budget) -> list[Fit]:
+    """Return for each plain fit this or the refitted machine, whichever is better in the fitted runs; none twice."""
     with budget.limiting(LAST_STAGE_END, delivers=True):
         refit = refined_equally(outcome.before, outcome.data)
     equal = equally_weighted(outcome.data)
-    start = min(
-        (plain.simulated, refit), key=lambda fitted: prediction_cost(fitted.machine, equal, SIMULATION)
-    )
-    best, sentence = None, ""
-    part = representative_part(outcome.data, start.machine)
-    for fitted, labels in descriptions(start, part, test.criteria, log, budget):
-        again = test.evaluate(outcome._replace(after=fitted))
-        ratio = error_ratio(again.after, base)
-        helps = description_helps(error_ratio(again.after, best.after if best else base))
-        log(description_line(labels, ratio, helps=helps))
-        if helps:
-            lacking, without = again.after.held_out.lacking, evaluated.before.held_out.lacking
-            best, sentence = again, description_sentence(labels, ratio, lacking, without)
-    return None if best is None else (best, sentence)
+    starts: list[Fit] = []
+    for plain in plain_fits:
+        fits = (plain.simulated, refit)
+        start = min(fits, key=lambda fitted: prediction_cost(fitted.machine, equal, SIMULATION))
+        if not any(start is other for other in starts):
+            starts.append(start)
+    return starts
 
 
 def description_line(labels: Sequence[str], ratio: float, *, helps: bool) -> str:
@@ -297,7 +351,12 @@ def description_sentence(
 
 
 def descriptions(
-    start: Fit, data: Dataset, criteria: SelectionCriteria, log: Log, budget: Budget
+    start: Fit,
+    data: Dataset,
+    criteria: SelectionCriteria,
+    log: Log,
+    budget: Budget,
+    longest: float = _LONGEST,
 ) -> Iterator[tuple[Fit, tuple[str, ...]]]:
     """Add the effects that reduce the error of a simulation over complete runs most, one after the other.
 
@@ -306,15 +365,16 @@ def descriptions(
         data: Runs to fit.
         criteria: Decision thresholds, of which the tests of single effects are used.
         log: Called with a line of text at each stage.
-        budget: Budget of the identification, of which the searches may use at most 30 % and 45 s.
+        budget: Budget of the identification, of which the searches may use at most 30 %.
+        longest: Processor time that the searches may take, s.
 
     Yields:
         Fit with one more effect in simulation, and the labels of all; nothing if no effect passes the tests, or after
         the budget.
     """
-    if not budget.has_time(LAST_STAGE_END):
+    if longest <= 0.0 or not budget.has_time(LAST_STAGE_END):
         return
-    stage = budget.until(LAST_STAGE_END, min(_BUDGET_PART * budget.seconds, _LONGEST))
+    stage = budget.until(LAST_STAGE_END, min(_BUDGET_PART * budget.seconds, longest))
     log("describing the remaining error of complete runs")
     equal = equally_weighted(data)
     cost = prediction_cost(start.machine, equal, SIMULATION)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from hframe_gym.identification.report.remainder import (
     missing_forces,
     tone_of_remainder,
 )
+from hframe_gym.identification.report.result import Verdict
 from hframe_gym.identification.report.verdict_words import verdict_sentence
 from hframe_gym.machine import BUILTIN_MACHINES, Sensor
 from tests.identification.report.axis_results import effect_entry, report_with, result_of
@@ -177,6 +179,29 @@ def test_the_force_is_stated_only_if_the_simulation_drifts(percent: float, unit:
         report_with(errors, left=600.0, plain={"held_out": errors, "delivered": True})
     )
     assert f"{unit}, and no known effect explains it. A plain fit of inertia and friction leaves" in sentence
+
+
+@pytest.mark.parametrize(("left", "stated"), [(15.0, True), (165.0, False)])
+def test_the_error_of_a_machine_that_describes_without_a_name_is_stated(left: float, stated: bool) -> None:
+    before, after = (
+        {"held_out": {"x_m": {"rmse": 1e-5 * ratio, "noise_ratio": ratio}}} for ratio in (165.0, left)
+    )
+    sentence = verdict_sentence(report_with(before=before, after=after, left=left))
+    assert "The error of the refitted model on the held-out runs is 165 times" in sentence
+    delivered = "The machine that is delivered leaves 15 times the sensors' noise, but names no cause."
+    assert (delivered in sentence) == stated
+
+
+@pytest.mark.parametrize(("verdict", "sensors"), [("unexplained", ("x_m",)), ("effect_found", ())])
+def test_a_description_does_not_hide_which_sensor_deviates(
+    data: Dataset, verdict: Verdict, sensors: tuple[str, ...]
+) -> None:
+    """An error of the laser's interpolation describes the runs of another cause at the same place."""
+    refitted, described = (SimpleNamespace(deviating_sensors=names) for names in (("x_m",), ()))
+    result: Any = dataclasses.replace(
+        result_of(data, verdict, AXIS), before=cast("Any", refitted), after=cast("Any", described)
+    )
+    assert result.deviating_sensors == sensors
 
 
 @pytest.mark.parametrize("verdict", ["effect_found", "no_effect", "unexplained"])

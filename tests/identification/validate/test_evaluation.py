@@ -210,10 +210,12 @@ def test_without_its_names_the_refitted_machine_is_judged(
             return Evaluated(outcome, outcome.selected, nothing, nothing, nothing, test)
 
     monkeypatch.setattr(evaluation, "_contradiction", contradiction)
-    found = judged(HeldOutRuns().evaluate(outcome), (), lambda line: None)
+    found, withdrawn = judged(HeldOutRuns().evaluate(outcome), (), lambda line: None)
     assert (found.outcome.verdict, found.selected) == (verdict, ())
     assert found.reason == ("" if verdict == "no_effect" else "too much remains")
     assert [c.reason for c in found.outcome.considered] == ["is not named: too much remains"]
+    assert withdrawn is not None  # the machine with the effects may still describe the runs
+    assert withdrawn.selected == (force,)
 
 
 @pytest.mark.parametrize(

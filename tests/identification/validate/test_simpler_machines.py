@@ -1,0 +1,160 @@
+"""Effects that are no causes may describe what is left, and no machine is delivered that predicts worse."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from hframe_gym.effects import EFFECTS
+from hframe_gym.identification import SelectionCriteria
+from hframe_gym.identification.budget import Budget
+from hframe_gym.identification.evidence.tried_effects import SelectedEffect
+from hframe_gym.identification.fit.channel_errors import ChannelError
+from hframe_gym.identification.fit.estimation import Fit
+from hframe_gym.identification.fit.plain_fit import PlainFit
+from hframe_gym.identification.predict.prediction import SIMULATION
+from hframe_gym.identification.search.outcome import SearchOutcome, without_names
+from hframe_gym.identification.validate import simpler_machines
+from hframe_gym.identification.validate.evaluation import Evaluated, Judged
+from hframe_gym.identification.validate.machine_errors import ModelEvaluation, PredictionErrors
+from hframe_gym.identification.validate.simpler_machines import no_worse
+from hframe_gym.machine import BUILTIN_MACHINES, Machine
+from tests.identification.single_axis import AXIS
+
+STAGE = BUILTIN_MACHINES["hframe"]()
+FORCE, SPRING = EFFECTS["constant_force"].at("x", size=1.0), EFFECTS["cable_spring"].at("x", k=10.0, q0=0.0)
+DATA: Any = None
+
+
+def fit_of(machine: Machine) -> Fit:
+    return Fit(machine, (), np.zeros(0), 1.0, 1, SIMULATION, np.zeros((0, 0)))
+
+
+@dataclasses.dataclass
+class HeldOutRuns:
+    """Held-out runs on which machines have given errors, in units of the noise, by the labels of their effects."""
+
+    machine: Machine
+    errors_of: dict[tuple[str, ...], float]
+    criteria: SelectionCriteria = dataclasses.field(default_factory=SelectionCriteria)
+
+    @property
+    def session(self) -> Any:
+        return SimpleNamespace(machine=self.machine)
+
+    def seconds(self) -> float:
+        return 0.0
+
+    @property
+    def held_out(self) -> Any:
+        return SimpleNamespace(runs=(1,))
+
+    def errors(self, machine: Machine, data: object = None, name: str = "") -> ModelEvaluation:
+        error = self.errors_of[tuple(e.label for e in machine.effects)]
+        channels = {"x_m": ChannelError(1e-5 * error, error)}
+        return ModelEvaluation(machine, PredictionErrors(channels, None))
+
+    def evaluate(self, outcome: SearchOutcome) -> Evaluated:
+        errors = [self.errors(m) for m in (self.machine, outcome.before.machine, outcome.after.machine)]
+        return Evaluated(outcome, outcome.selected, *errors, cast("Any", self))
+
+
+def withdrawn_names(machine: Machine, errors_of: dict[tuple[str, ...], float], verdict: Any) -> Judged:
+    """Return an outcome whose only name, a spring, was withdrawn."""
+    machine = machine.replace(effects=())
+    runs = HeldOutRuns(machine, errors_of)
+    spring = SelectedEffect(SPRING, 1.0, machine)
+    before, after = fit_of(machine), fit_of(machine.with_effects(SPRING))
+    found = SearchOutcome(before, False, False, "effect_found", after, (spring,), (), DATA)
+    without = without_names(found, "too much remains")._replace(verdict=verdict)
+    return Judged(runs.evaluate(without)._replace(reason="too much remains"), runs.evaluate(found))
+
+
+@pytest.mark.parametrize("machine", [STAGE, AXIS])
+def test_effects_whose_names_were_withdrawn_describe_what_is_left(machine: Machine) -> None:
+    judgment = withdrawn_names(machine, {(): 165.0, ("cable_spring@x",): 15.0}, "unexplained")
+    lines: list[str] = []
+    delivered = no_worse(judgment, None, lines.append, Budget())
+    evaluated = delivered.evaluated
+    assert evaluated.after.machine.effects == (SPRING,)
+    assert evaluated.before.machine.effects == ()
+    assert (evaluated.outcome.verdict, evaluated.selected) == ("unexplained", ())
+    assert evaluated.reason == "too much remains"
+    assert [c.effect.label for c in evaluated.outcome.considered] == ["cable_spring@x"]
+    [remark] = delivered.remarks
+    assert "describes the remaining error by cable_spring@x. They are no causes" in remark
+    assert "0.0909 times" in remark
+    assert lines == ["described by cable_spring@x: 0.0909 times the error on the held-out runs"]
+
+
+@pytest.mark.parametrize(
+    ("without", "with_spring", "verdict"),
+    [
+        (165.0, 155.0, "unexplained"),  # hardly better
+        (1.9, 1.0, "unexplained"),  # only noise is left
+        (165.0, 15.0, "no_effect"),
+    ],
+)
+def test_the_refitted_machine_is_delivered_where_no_description_is_of_use(
+    without: float, with_spring: float, verdict: str
+) -> None:
+    judgment = withdrawn_names(STAGE, {(): without, ("cable_spring@x",): with_spring}, verdict)
+    delivered = no_worse(judgment, None, lambda line: None, Budget())
+    assert delivered.evaluated.after.machine.effects == ()
+    assert delivered.evaluated.outcome.verdict == verdict
+    assert delivered.remarks == ()
+
+
+FORCE_LABEL, SPRING_LABEL, DRAG_LABEL = "constant_force@x", "cable_spring@x", "quadratic_drag@x"
+
+
+@pytest.mark.parametrize(
+    ("with_force", "without_force", "described", "begun"),
+    [
+        (400.0, 380.0, (FORCE_LABEL, DRAG_LABEL), 2),  # the term that the held-out runs confirm counts
+        (400.0, 50.0, (DRAG_LABEL,), 2),  # it has taken the place of something
+        (1.5, 1.0, (FORCE_LABEL, DRAG_LABEL), 1),  # only noise is left
+        (900.0, 700.0, (SPRING_LABEL,), 2),  # effects whose names were withdrawn do better
+    ],
+)
+def test_a_description_begins_with_the_terms_that_the_held_out_runs_confirm(
+    with_force: float,
+    without_force: float,
+    described: tuple[str, ...],
+    begun: int,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of the plain fit, the fitted runs show no term, and the held-out runs confirm a constant force."""
+    errors_of = {
+        (): 3000.0,
+        (SPRING_LABEL,): 600.0,
+        (FORCE_LABEL,): 1000.0,
+        (FORCE_LABEL, DRAG_LABEL): with_force,
+        (DRAG_LABEL,): without_force,
+    }
+    judgment = withdrawn_names(AXIS, errors_of, "unexplained")
+    plain_machine = AXIS.replace(effects=())
+    plain = PlainFit(plain_machine, (fit_of(plain_machine),), (fit_of(plain_machine.with_effects(FORCE)),))
+    starts: list[Fit] = []
+
+    def descriptions(start: Fit, *_: object) -> Iterator[tuple[Fit, Sequence[str]]]:
+        starts.append(start)
+        drag = EFFECTS["quadratic_drag"].at("x", c=1.0)
+        yield fit_of(start.machine.with_effects(drag)), [drag.label]
+
+    monkeypatch.setattr(simpler_machines, "descriptions", descriptions)
+    monkeypatch.setattr(simpler_machines, "refined_equally", lambda fitted, data: fitted)
+    monkeypatch.setattr(simpler_machines, "equally_weighted", lambda data: data)
+    monkeypatch.setattr(simpler_machines, "representative_part", lambda data, machine: data)
+    monkeypatch.setattr(simpler_machines, "_runs_to_report", lambda test, fitted: 0.0)
+    monkeypatch.setattr(simpler_machines, "prediction_cost", lambda machine, data, bandwidth: 1.0)
+    delivered = no_worse(judgment, plain, lambda line: None, Budget())
+    assert [e.label for e in delivered.evaluated.after.machine.effects] == list(described)
+    assert [e.label for e in starts[0].machine.effects] == [FORCE_LABEL]
+    assert len(starts) == begun
+    assert delivered.evaluated.selected == ()
