@@ -34,8 +34,9 @@ _RARE = 0.1
 _RESTART = 0.5
 # Rows after a restart whose times are all earlier than the last one before it; after one wrong time they are not.
 _ROWS_EARLIER = 3
-# Fewer rows between two starts are what a buffer still held of the session before.
-_FEWEST_ROWS = 10
+# Fewer times between two starts are what a buffer still held of the session before, or its rows that were not filled,
+# which all have the same time.
+_FEWEST_TIMES = 10
 
 
 def continued_counter(times: Array) -> tuple[Array, str]:
@@ -100,8 +101,8 @@ def clock_sections(time_s: Array) -> list[slice]:
         time_s: Times, s, NaN where there is none, shape (n,).
 
     Returns:
-        Rows of each section, in the order of the log. Sections of fewer than ten rows are left out, unless a tenth of
-        the rows is in such sections: these are no restarts, and all rows are returned as one section.
+        Rows of each section, in the order of the log. Sections of fewer than ten different times are left out, unless
+        a tenth of the rows is in such sections: these are no restarts, and all rows are returned as one section.
     """
     rows = np.flatnonzero(np.isfinite(time_s))
     times, starts = time_s[rows], [0]
@@ -111,9 +112,14 @@ def clock_sections(time_s: Array) -> list[slice]:
             starts.append(int(row))
     edges = [0, *rows[starts[1:]].tolist(), len(time_s)]
     sections = [slice(first, end) for first, end in pairwise(edges)]
-    long = [section for section in sections if section.stop - section.start >= _FEWEST_ROWS]
+    long = [section for section in sections if len(np.unique(_present(time_s[section]))) >= _FEWEST_TIMES]
     kept = sum(section.stop - section.start for section in long)
     return long if kept > (1.0 - _RARE) * len(time_s) else [slice(0, len(time_s))]
+
+
+def _present(times: Array) -> Array:
+    """Return the times that are given."""
+    return times[np.isfinite(times)]
 
 
 def replaced_rows(time_s: Array) -> tuple[NDArray[np.bool_], str]:

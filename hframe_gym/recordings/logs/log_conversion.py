@@ -123,8 +123,8 @@ class LogConverter:
             )
         left_out = len(time_s) - sum(section.stop - section.start for section in sections)
         if left_out:
-            verb = "rows left out that precede" if left_out > 1 else "row left out that precedes"
-            remarks.append(f"{left_out} {verb} a restart of the clock")
+            rows = "rows" if left_out > 1 else "row"
+            remarks.append(f"{left_out} {rows} left out beside a restart of the clock, with fewer than ten times")
         return [
             (rows.start, {header: values[rows] for header, values in by_header.items()}) for rows in sections
         ]

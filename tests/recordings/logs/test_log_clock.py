@@ -107,7 +107,13 @@ def test_a_log_is_cut_where_its_clock_restarts(axis: Machine, tmp_path: Path) ->
 def test_rows_of_the_session_before_are_left_out(axis: Machine, tmp_path: Path) -> None:
     (run,), text = sessions(tmp_path, axis, [1.074, *(0.008 + 0.01 * np.arange(100))])
     assert (run.name, len(run.time_s)) == ("log", 100)
-    assert "1 row left out that precedes a restart of the clock" in text
+    assert "1 row left out beside a restart of the clock, with fewer than ten times" in text
+
+
+def test_rows_of_a_buffer_that_were_not_filled_are_left_out(axis: Machine, tmp_path: Path) -> None:
+    (run,), text = sessions(tmp_path, axis, [*(0.1 + 0.01 * np.arange(200)), *(0.0,) * 12])
+    assert (run.name, len(run.time_s)) == ("log", 200)
+    assert "12 rows left out beside a restart of the clock, with fewer than ten times" in text
 
 
 def test_a_speed_is_integrated_and_a_log_cut_within_each_session(axis: Machine, tmp_path: Path) -> None:
