@@ -24,7 +24,7 @@ from ..judge.criteria import SelectionCriteria
 from ..judge.verdict import description_helps, forces_contradict, is_worse_than, needs_description
 from ..predict.prediction import SIMULATION
 from ..search.forward_selection import EffectSearch
-from ..search.outcome import SearchOutcome, VoltagesChangeError, without_names
+from ..search.outcome import VoltagesChangeError, without_names
 from .evaluation import Evaluated, HeldOutTest, HeldOutTests, Judged, with_certain_effects
 from .machine_errors import ModelEvaluation, error_ratio
 
@@ -137,7 +137,7 @@ def no_worse(judgment: Judged, plain: PlainFit | None, log: Log, budget: Budget)
     result, delivered, sentence = None, evaluated, ""
     if plain is not None:
         result, delivered, sentence = _compared(judgment, plain, log, budget)
-    elif (described := _described(judgment, evaluated.before, (), log, budget)) is not None:
+    elif (described := _described(judgment, evaluated.before, None, log, budget)) is not None:
         delivered, sentence = described
     if _is_worse(delivered.after, evaluated.declared, delivered.test):
         sentence = _DECLARED_DELIVERED.format(error_ratio(delivered.after, evaluated.declared))
@@ -156,17 +156,17 @@ def _compared(
     """Return the plain fit with its errors, the outcome that is delivered, and what replaced the search's machine."""
     evaluated = judgment.evaluated
     outcome, test = evaluated.outcome, evaluated.test
-    certain, plain, reference = confirmed(plain, evaluated)
+    start = start_of_description(plain, evaluated)
+    plain, reference = confirmed(plain, evaluated)
     result = PlainResult(reference, plain.terms)
     log(f"plain fit: {reference.held_out.noise_ratio:.4g} times the noise on the held-out runs")
-    plain_fits: tuple[PlainFit, ...] = ()
     if not test.session.machine.belts:
-        plain_fits = (plain,) if plain is certain else (plain, certain)
         budget.reserve(
             test.seconds() * (1.0 + _runs_to_report(test, outcome.data))
         )  # a description, the report
     base = reference if _is_worse(evaluated.before, reference, test) else evaluated.before
-    described = _described(judgment, base, plain_fits, log, budget)
+    searched_from = None if test.session.machine.belts else start.simulated
+    described = _described(judgment, base, searched_from, log, budget)
     if described is not None:
         return result, *described
     ratio = error_ratio(evaluated.after, reference)
@@ -194,7 +194,7 @@ def _compared(
     return dataclasses.replace(result, delivered=True), delivered, sentence
 
 
-def confirmed(plain: PlainFit, evaluated: Evaluated) -> tuple[PlainFit, PlainFit, ModelEvaluation]:
+def confirmed(plain: PlainFit, evaluated: Evaluated) -> tuple[PlainFit, ModelEvaluation]:
     """Let the held-out runs choose the terms of a plain fit.
 
     Args:
@@ -203,25 +203,43 @@ def confirmed(plain: PlainFit, evaluated: Evaluated) -> tuple[PlainFit, PlainFit
 
     Returns:
         The plain fit with those terms that the fitted runs show, without any that worsen the prediction of the held-out
-        runs; the one with terms that they do not show, if it predicts the held-out runs better, or else the first one;
-        and the errors of this machine.
+        runs, or with others, if it then predicts them better; and the errors of this machine.
     """
-    test, data = evaluated.test, evaluated.outcome.data
-
-    def errors(fitted: PlainFit) -> ModelEvaluation:
-        return test.errors(fitted.machine.replace(name=f"{test.session.machine.name}-plain"), data)
-
-    certain, reference = plain, errors(plain)
+    best, reference = plain, _plain_errors(plain, evaluated)
     for simpler in reversed(plain.simpler):
-        found = errors(simpler)
+        found = _plain_errors(simpler, evaluated)
         if error_ratio(found, reference) < 1.0:
-            certain, reference = simpler, found
-    best = certain
+            best, reference = simpler, found
     for extended in plain.extended:
-        found = errors(extended)
-        if _is_worse(reference, found, test):
+        found = _plain_errors(extended, evaluated)
+        if _is_worse(reference, found, evaluated.test):
             best, reference = extended, found
-    return certain, best, reference
+    return best, reference
+
+
+def start_of_description(plain: PlainFit, evaluated: Evaluated) -> PlainFit:
+    """Return the plain fit with those terms that describe the held-out runs as clearly as a description must.
+
+    Terms are effects without a cause, as those of a description are. One that hardly helps may be false, and takes the
+    place of a part of what the description would find: a constant force that of a spring.
+
+    Args:
+        plain: Plain fit to the fitted runs.
+        evaluated: Outcome of a search, with the tests on the held-out runs.
+    """
+    fewest_first = (*plain.simpler, plain, *plain.extended)
+    best = fewest_first[0]
+    for other in fewest_first[1:]:
+        ratio = error_ratio(_plain_errors(other, evaluated), _plain_errors(best, evaluated))
+        if description_helps(ratio):
+            best = other
+    return best
+
+
+def _plain_errors(plain: PlainFit, evaluated: Evaluated) -> ModelEvaluation:
+    """Return a plain fit with its errors on the held-out runs."""
+    name = f"{evaluated.test.session.machine.name}-plain"
+    return evaluated.test.errors(plain.machine.replace(name=name), evaluated.outcome.data)
 
 
 def _is_worse(model: ModelEvaluation, reference: ModelEvaluation, test: HeldOutTest) -> bool:
@@ -252,14 +270,13 @@ class _Description(NamedTuple):
 
 
 def _described(
-    judgment: Judged, base: ModelEvaluation, plain_fits: Sequence[PlainFit], log: Log, budget: Budget
+    judgment: Judged, base: ModelEvaluation, plain: Fit | None, log: Log, budget: Budget
 ) -> _Description | None:
     """Return the description of what is left that predicts the held-out runs best.
 
     None if effects are named, only noise is left, or the held-out runs are predicted no better than by `base`, the
-    machine without a description. Effects whose names were withdrawn come first. Others are searched for beside each of
-    the plain fits, one after the other while time is left and more than noise remains: a term that is none, although
-    the held-out runs confirm it, may take the place of a part of the description.
+    machine without a description. Effects whose names were withdrawn come first. If they leave more than noise, others
+    are searched for beside a plain fit, or the refitted machine if it is better in the fitted runs.
     """
     evaluated, withdrawn = judgment
     outcome, test = evaluated.outcome, evaluated.test
@@ -274,16 +291,15 @@ def _described(
     if withdrawn is not None:
         labels = tuple(s.effect.label for s in withdrawn.outcome.selected)
         best = _better_description(best, withdrawn.outcome.after, labels, evaluated, base, log)
-    if not plain_fits:
+    if plain is None or (best is not None and not needed(best.evaluated.after)):
         return best
-    starts = _starts(outcome, plain_fits, budget)
-    ends = budget.spent + min(_BUDGET_PART * budget.seconds, _LONGEST)
-    part = representative_part(outcome.data, starts[0].machine)
-    for start in starts:
-        if best is not None and not needed(best.evaluated.after):
-            break
-        for fitted, labels in descriptions(start, part, test.criteria, log, budget, ends - budget.spent):
-            best = _better_description(best, fitted, labels, evaluated, base, log)
+    with budget.limiting(LAST_STAGE_END, delivers=True):
+        refit = refined_equally(outcome.before, outcome.data)
+    equal = equally_weighted(outcome.data)
+    start = min((plain, refit), key=lambda fitted: prediction_cost(fitted.machine, equal, SIMULATION))
+    part = representative_part(outcome.data, start.machine)
+    for fitted, labels in descriptions(start, part, test.criteria, log, budget):
+        best = _better_description(best, fitted, labels, evaluated, base, log)
     return best
 
 
@@ -304,20 +320,6 @@ def _better_description(
         return best
     lacking, without = again.after.held_out.lacking, evaluated.before.held_out.lacking
     return _Description(again, description_sentence(labels, ratio, lacking, without))
-
-
-def _starts(outcome: SearchOutcome, plain_fits: Sequence[PlainFit], budget: Budget) -> list[Fit]:
-    """Return for each plain fit this or the refitted machine, whichever is better in the fitted runs; none twice."""
-    with budget.limiting(LAST_STAGE_END, delivers=True):
-        refit = refined_equally(outcome.before, outcome.data)
-    equal = equally_weighted(outcome.data)
-    starts: list[Fit] = []
-    for plain in plain_fits:
-        fits = (plain.simulated, refit)
-        start = min(fits, key=lambda fitted: prediction_cost(fitted.machine, equal, SIMULATION))
-        if not any(start is other for other in starts):
-            starts.append(start)
-    return starts
 
 
 def description_line(labels: Sequence[str], ratio: float, *, helps: bool) -> str:
@@ -351,12 +353,7 @@ def description_sentence(
 
 
 def descriptions(
-    start: Fit,
-    data: Dataset,
-    criteria: SelectionCriteria,
-    log: Log,
-    budget: Budget,
-    longest: float = _LONGEST,
+    start: Fit, data: Dataset, criteria: SelectionCriteria, log: Log, budget: Budget
 ) -> Iterator[tuple[Fit, tuple[str, ...]]]:
     """Add the effects that reduce the error of a simulation over complete runs most, one after the other.
 
@@ -365,16 +362,15 @@ def descriptions(
         data: Runs to fit.
         criteria: Decision thresholds, of which the tests of single effects are used.
         log: Called with a line of text at each stage.
-        budget: Budget of the identification, of which the searches may use at most 30 %.
-        longest: Processor time that the searches may take, s.
+        budget: Budget of the identification, of which the searches may use at most 30 % and 45 s.
 
     Yields:
         Fit with one more effect in simulation, and the labels of all; nothing if no effect passes the tests, or after
         the budget.
     """
-    if longest <= 0.0 or not budget.has_time(LAST_STAGE_END):
+    if not budget.has_time(LAST_STAGE_END):
         return
-    stage = budget.until(LAST_STAGE_END, min(_BUDGET_PART * budget.seconds, longest))
+    stage = budget.until(LAST_STAGE_END, min(_BUDGET_PART * budget.seconds, _LONGEST))
     log("describing the remaining error of complete runs")
     equal = equally_weighted(data)
     cost = prediction_cost(start.machine, equal, SIMULATION)

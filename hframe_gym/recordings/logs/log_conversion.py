@@ -124,7 +124,9 @@ class LogConverter:
         left_out = len(time_s) - sum(section.stop - section.start for section in sections)
         if left_out:
             rows = "rows" if left_out > 1 else "row"
-            remarks.append(f"{left_out} {rows} left out beside a restart of the clock, with fewer than ten times")
+            remarks.append(
+                f"{left_out} {rows} left out beside a restart of the clock, with fewer than ten times"
+            )
         return [
             (rows.start, {header: values[rows] for header, values in by_header.items()}) for rows in sections
         ]
