@@ -285,7 +285,8 @@ def default_free_parameters(machine: Machine, *, effects: bool = True) -> tuple[
       its constant part `rest_length`, the length at position 0.
     - The torque constant Kt of every drive that sets no unit of force, and nonzero back-EMF constants Ke.
     - The gains and limits of every drive that follows a set point, without those at their defaults.
-    - The resistance of every drive whose current is measured, which separates its electrical from its mechanical side.
+    - The resistance of every drive whose current is measured and not controlled, which separates its electrical from its
+      mechanical side.
     - The parameters of declared effects.
 
     Left out are parameters that the machine ties to others, and the torque constant of one drive (the `unit_of_force`
@@ -317,7 +318,12 @@ def default_free_parameters(machine: Machine, *, effects: bool = True) -> tuple[
             free.append(FreeParameter(f"{drive.name}.Kt", drive.Kt, prior=_MOTOR_PRIOR))
     for drive in machine.drives:
         free += _law_parameters(drive, anchored=drive.name in setting_units and drive.name not in sensed)
-    resistances = [drive for drive in machine.drives if drive.name in sensed and not drive.law]
+    # An amplifier that controls the current or the torque has no parameter for the resistance, which it overcomes.
+    resistances = [
+        drive
+        for drive in machine.drives
+        if drive.name in sensed and not drive.law and f"{drive.name}.resistance" in machine.parameters
+    ]
     free += [
         FreeParameter(f"{drive.name}.resistance", drive.resistance, prior=_MOTOR_PRIOR)
         for drive in resistances

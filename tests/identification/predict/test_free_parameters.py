@@ -1,5 +1,7 @@
 """Which parameters are free: one torque constant of each group of coordinates sets the unit of force."""
 
+import dataclasses
+
 import pytest
 
 from hframe_gym.effects import EFFECTS
@@ -29,3 +31,20 @@ def test_one_drive_of_each_group_of_coordinates_sets_the_unit_of_force(
 ) -> None:
     names = [p.name for p in default_free_parameters(machine)]
     assert [name for name in names if name.endswith((".Kt", ".speed_gain"))] == free
+
+
+@pytest.mark.parametrize(
+    ("kind", "free"),
+    [("voltage", ["motor.resistance"]), ("duty-cycle", ["motor.resistance"]), ("current", []), ("torque", [])],
+)
+def test_a_measured_current_frees_the_resistance_of_drives_that_do_not_control_it(
+    kind: str, free: list[str]
+) -> None:
+    machine = built_in("motor", Sensor("motor_A", {"motor": 1.0}, 0.02, 0.0, "current"))
+    [drive] = machine.drives
+    if kind in ("current", "torque"):
+        drive = dataclasses.replace(drive, kind=kind, Ke=0.0, resistance=1.0)
+    machine = machine.replace(drives=(dataclasses.replace(drive, kind=kind),))
+    names = [p.name for p in default_free_parameters(machine)]
+    assert [name for name in names if name.endswith(".resistance")] == free
+    assert set(names) <= set(machine.parameters)
