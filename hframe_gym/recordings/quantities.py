@@ -201,6 +201,7 @@ QUANTITIES: dict[str, Quantity] = {
 COUNT_UNITS = (
     *("counts", "count", "cts", "inc", "incr", "increments", "increment", "pulses", "pulse"),
     *("ink", "inkr", "inkremente", "inkrement", "impulse", "imp", "impulsions"),
+    *("ticks", "tick", "steps", "step", "schritte", "pasos", "pulsos", "cuentas"),
 )
 _WITHOUT_DIMENSION = {*COUNT_UNITS, "bit", "bits", "lsb", "bool", "digits", "-", "1", "#", "n/a"}
 

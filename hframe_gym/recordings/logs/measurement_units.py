@@ -45,6 +45,9 @@ _DIMENSION_OF_UNIT: dict[str, Dimension] = {unit: dimension for dimension, unit 
 DUTY_UNITS = {"%": 100.0, "pu": 1.0}
 # Inputs of amplifiers that control the current or the torque, by the unit at the end of the channel's name.
 _COMMANDS: dict[str, Dimension] = {"A": "current", "Nm": "torque", "N": "force"}
+_BITS = re.compile(
+    r"(\d{1,2})\s*bits?", re.IGNORECASE
+)  # unit of a number that is written to a converter or timer
 _INTEGRATED = "integrated from 0; an offset of the speed makes the position drift"
 _RATE = re.compile(r"(?P<rate>\d+(\.\d+)?([eE][+-]?\d+)?)\s*(?P<prefix>k?)hz", re.IGNORECASE)
 
@@ -190,12 +193,16 @@ def wrong_unit_message(machine: Machine, channel: str, unit: str) -> str:
     """Write the message, without file and column, for a unit that a channel cannot have, such as mm for a voltage.
 
     It proposes the options --unit, with the possible units, and --scale. If `unit` is encoder counts, it also proposes
-    a factor: the declared resolution of the sensor.
+    a factor: the declared resolution of the sensor. If it is a number of bits, the factor of a duty cycle follows.
     """
     factor = f"a factor to {SI_UNITS[channel_dimension(machine, channel)]} by --scale {channel}=FACTOR"
     resolution = machine.sensor(channel).resolution if channel in machine.output_channels else 0.0
     if unit.lower() in COUNT_UNITS and resolution > 0.0:
         factor += f" (FACTOR is {resolution:.6g} if a count is the declared resolution)"
+    bits = _BITS.fullmatch(unit)
+    if bits and channel_dimension(machine, channel) == "duty cycle":
+        largest = 2 ** int(bits[1]) - 1
+        factor += f" (FACTOR is {1 / largest:.5g} if {largest} is the full duty cycle)"
     if unit in UNITS["length"] and channel_dimension(machine, channel) == "angle":
         factor += f" (FACTOR is 1 / radius of what rolls, in {unit})"
     units = ", ".join(accepted_units(machine, channel))

@@ -1,11 +1,13 @@
 """Columns that the message about a missing column proposes."""
 
+import dataclasses
 from pathlib import Path
 
 import pytest
 
 from hframe_gym.machine import BUILTIN_MACHINES
 from hframe_gym.recordings.logs import open_logs, propose_columns
+from hframe_gym.recordings.logs.measurement_units import wrong_unit_message
 
 
 @pytest.mark.parametrize(
@@ -24,3 +26,12 @@ def test_the_voltage_of_a_sensor_is_not_proposed_as_a_command(
     (tmp_path / "log.csv").write_text(f"time,{header},level\n{rows}\n")
     (log,) = open_logs(tmp_path / "log.csv")
     assert propose_columns(log, BUILTIN_MACHINES["motor"]()).proposed.get("v_V") == proposed
+
+
+@pytest.mark.parametrize(
+    ("unit", "factor"), [("8bits", "0.0039216 if 255 is"), ("10 bit", "0.00097752 if 1023 is")]
+)
+def test_a_duty_cycle_in_bits_is_refused_with_its_factor(unit: str, factor: str) -> None:
+    motor = BUILTIN_MACHINES["motor"]()
+    machine = motor.replace(drives=(dataclasses.replace(motor.drives[0], kind="duty-cycle", channel="duty"),))
+    assert f"(FACTOR is {factor} the full duty cycle)" in wrong_unit_message(machine, "duty", unit)

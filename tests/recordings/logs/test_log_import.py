@@ -738,6 +738,12 @@ def test_an_output_without_a_column_must_be_declared_unless_no_column_is_left(
             {},
             r"'Inkremente' is not a unit of phi1_rad; .* \(FACTOR is 0.000519993 if a count is",
         ),
+        (
+            "time_s,v1,v2,phi1 [ticks],phi2,x,z,y",
+            {},
+            r"'ticks' is not a unit of phi1_rad; .* \(FACTOR is 0.000519993 if a count is",
+        ),
+        ("time_s,v1,v2,n1 (steps),phi2,x,z,y", {}, r"Check and add: --map 'phi1_rad=n1 \(steps\)'"),
         (  # counts are nearer to an angle than a speed, which would be integrated
             "time_s,v1,v2,n [rpm],phi2,x,Encoder 1 [Inkremente],y",
             {},
