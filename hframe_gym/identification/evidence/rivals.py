@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 from typing import NamedTuple
 
@@ -190,6 +190,7 @@ def compare_rivals(
     criteria: SelectionCriteria,
     *,
     in_combination: Sequence[AppliedEffect] = (),
+    likely: Callable[[], Fit] | None = None,
 ) -> ComparedRivals:
     """Compare an effect of the machine with its rivals by their likelihood, each fitted in place of the effect.
 
@@ -202,6 +203,7 @@ def compare_rivals(
         rivals: Its rivals. Those that add coordinates (structural effects) and those that the machine already has are
             not tried. None is tried for an effect that adds coordinates, or that another effect requires.
         in_combination: Further rivals, from `rivals_in_combination`, whose size is not known yet.
+        likely: Function that returns `most_likely_fit` of the fit, where it is known for another effect of the machine.
 
     Returns:
         The most likely rival and those that remain, with parameters fitted beside all other effects.
@@ -216,7 +218,7 @@ def compare_rivals(
         """Return the difference of losses that chance may cause if the fit, with the effect so labeled, is right."""
         return chance_margin(long_run_variance(fitted, fitted_label, data), data.count, criteria)
 
-    present_fit = _polished(current, data)
+    present_fit = likely() if likely else most_likely_fit(current, data)
     loss, margin = likelihood_loss(present_fit, data), margin_of(present_fit, label)
     better, least, tried = None, loss, {}
     for rival in possible:
@@ -228,7 +230,7 @@ def compare_rivals(
             start = fit_in_place_of(current, label, rival, data, goal=goal)
         else:
             start = _sized(current, label, rival, data)
-        trial = _polished(start, data, largest)
+        trial = most_likely_fit(start, data, largest)
         rival_loss, own_margin = likelihood_loss(trial, data), margin_of(trial, rival.label)
         evidence = RivalEvidence(loss, margin, rival_loss, own_margin, known)
         if is_likelier(evidence, least):
@@ -251,11 +253,16 @@ def _sized(current: Fit, label: str, rival: AppliedEffect, data: Dataset) -> Fit
     return continue_fit(fit_in_place_of(wide, label, rival, data), data, current.bandwidth)
 
 
-def _polished(fitted: Fit, data: Dataset, largest_loss: float = math.inf) -> Fit:
+def most_likely_fit(fitted: Fit, data: Dataset, largest_loss: float = math.inf) -> Fit:
     """Fit with the shortest integration step, at the given bandwidth and in simulation; return the more likely fit.
 
-    The longer integration step of the search is too inaccurate to distinguish a delay of 0.1 ms from a lag. A fit that
-    cannot come down to the largest loss ends early.
+    The longer integration step of the search is too inaccurate to distinguish a delay of 0.1 ms from a lag.
+
+    Args:
+        fitted: Fit of any machine.
+        data: Runs that were fitted.
+        largest_loss: Loss, -2 log(likelihood) per measured value, dimensionless; a fit that cannot come down to it ends
+            early.
     """
     narrowest = bandwidths_for(data)[-1]
     fits = [fitted]

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from functools import cache
 from typing import NamedTuple
 
 from ...machine import AppliedEffect, Machine
@@ -21,6 +22,7 @@ from ..evidence.rivals import (
     close_rivals,
     compare_rivals,
     limited_last,
+    most_likely_fit,
     rivals_in_combination,
     selected_first,
     simplest_first,
@@ -428,6 +430,11 @@ class EffectSearch:
             Fit of the machine with the most likely effects, and these effects with the rivals that remain.
         """
         settled: tuple[SelectedEffect, ...] = ()
+
+        @cache
+        def likely() -> Fit:
+            return most_likely_fit(current, self.data)
+
         for old in selected:
             others = [e for s in selected if s is not old for e in (s.effect, *s.rival_effects)]
             further = rivals_in_combination(old.effect, old.rival_effects, others, current.machine)
@@ -437,7 +444,13 @@ class EffectSearch:
             new = [rival for rival in old.rival_effects if rival.label not in past.tried]
             further = tuple(rival for rival in further if rival.label not in past.tried)
             compared = compare_rivals(
-                current, old.effect.label, new, self.data, self._criteria, in_combination=further
+                current,
+                old.effect.label,
+                new,
+                self.data,
+                self._criteria,
+                in_combination=further,
+                likely=likely,
             )
             remaining = (*past.remaining, *compared.remaining)
             if compared.better is not None:

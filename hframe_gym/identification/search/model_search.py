@@ -422,6 +422,7 @@ class ModelSearch:
         search.reached = current, effects
         spend("comparing rivals")
         effects = search.with_indistinguishable(current, effects)
+        spend("comparing rivals")
         current, effects = search.settle_rivals(current, effects)
         search.reached = current, effects
         spend("testing each effect beside the others")

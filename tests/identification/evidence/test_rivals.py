@@ -56,7 +56,7 @@ def test_a_fit_is_polished_at_its_bandwidth_and_in_simulation() -> None:
     x = AXIS.coordinates[0]
     wrong = AXIS.replace(coordinates=(dataclasses.replace(x, mass=1.05 * x.mass),))
     start = fit(wrong, default_free_parameters(wrong), data, 30.0)
-    polished = rivals._polished(start, data)
+    polished = rivals.most_likely_fit(start, data)
     assert (polished.bandwidth, polished.longest_step) == (0.0, POLISH_STEP)
     assert likelihood_loss(polished, data) < likelihood_loss(start, data)
 

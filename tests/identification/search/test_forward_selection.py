@@ -6,7 +6,7 @@ Nothing is simulated. Fits have the costs that a test gives them, so that a test
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from types import SimpleNamespace
 from typing import Any
 
@@ -263,6 +263,28 @@ def test_a_rival_is_compared_once_beside_the_same_machine(
     assert push.rival_effects == (FRAME, DRAG)
     search.settle_rivals(fit_with(PUSH, chi2=1.0), (push,))
     assert compared[-1] == [FRAME.label, DRAG.label]
+
+
+def test_the_most_likely_fit_of_a_machine_is_found_once_for_all_its_effects(
+    scripted: Scripted, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each effect has a rival; in simulation, a fit may take longer than that of all rivals."""
+    found: list[Fit] = []
+
+    def most_likely(current: Fit, data: Any) -> Fit:
+        found.append(current)
+        return current
+
+    def compare(*rest: Any, likely: Callable[[], Fit], **more: Any) -> Any:
+        assert likely() is current
+        return ComparedRivals(None, ())
+
+    monkeypatch.setattr(forward_selection, "most_likely_fit", most_likely)
+    monkeypatch.setattr(forward_selection, "compare_rivals", compare)
+    current = fit_with(PUSH, FRAME, chi2=1.0)
+    effects = [dataclasses.replace(selected(effect), rival_effects=(SPRING,)) for effect in (PUSH, FRAME)]
+    scripted.search().settle_rivals(current, tuple(effects))
+    assert found == [current]
 
 
 @pytest.mark.parametrize(("effects", "screened"), [((PUSH,), 1), ((PUSH, FRAME), 2)])
