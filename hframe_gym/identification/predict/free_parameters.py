@@ -242,17 +242,50 @@ def bounded_step(free: Sequence[FreeParameter], theta: Array, hessian: Array, gr
     low, high = np.array([f.theta_limits for f in free]).reshape(-1, 2).T
     if np.all((low <= theta + step) & (theta + step <= high)):
         return step
+    limits = (low - theta, high - theta)
+    bounded = _minimum_by_active_sets(hessian, gradient, *limits)
+    if bounded is None:
+        bounded = _minimum_by_least_squares(hessian, gradient, limits)
+    return np.clip(theta + bounded, low, high) - theta
+
+
+def _minimum_by_active_sets(hessian: Array, gradient: Array, low: Array, high: Array) -> Array | None:
+    """Return the minimum of a quadratic model within limits, shape (k,); None if the sets at the limits do not settle.
+
+    Each iteration holds those at a limit that the last minimum exceeds, or that its slope pushes against. Sets that
+    settle are those of the minimum, which is unique. This takes a quarter of the time of a search along the limits.
+
+    References:
+        Hintermueller, Ito and Kunisch (2002), "The primal-dual active set strategy as a semismooth Newton method".
+    """
+    at_low = at_high = np.zeros(len(gradient), np.bool_)
+    for _ in range(len(gradient)):
+        held = at_low | at_high
+        step = np.where(at_low, low, np.where(at_high, high, 0.0))
+        inner = np.flatnonzero(~held)
+        slope = gradient + hessian @ step
+        step[inner] = -np.linalg.solve(hessian[np.ix_(inner, inner)], slope[inner])
+        slope = gradient + hessian @ step
+        now_low = np.where(held, at_low & (slope > 0.0), step < low)
+        now_high = np.where(held, at_high & (slope < 0.0), step > high)
+        if np.array_equal(now_low, at_low) and np.array_equal(now_high, at_high):
+            return step
+        at_low, at_high = now_low, now_high
+    return None
+
+
+def _minimum_by_least_squares(hessian: Array, gradient: Array, limits: tuple[Array, Array]) -> Array:
+    """Return the minimum of a quadratic model within limits, shape (k,), by a search along the limits."""
     # The quadratic model as a sum of squares, |A step - b|^2; eigenvalues may be negative by rounding.
     eigenvalues, axes = np.linalg.eigh(hessian)
     scales = np.sqrt(np.maximum(eigenvalues, np.finfo(np.float64).eps * eigenvalues.max()))
     A, b = scales[:, None] * axes.T, -(axes.T @ gradient) / scales
-    limits = (low - theta, high - theta)
     with np.errstate(divide="ignore", invalid="ignore"):
         bounded = lsq_linear(A, b, limits, method="bvls").x
     # SciPy's BVLS divides by zero where rounding moves a parameter past its limit; an interior-point method does not.
-    if not np.isfinite(bounded).all():
-        bounded = lsq_linear(A, b, limits, method="trf").x
-    return np.clip(theta + bounded, low, high) - theta
+    return np.asarray(
+        bounded if np.isfinite(bounded).all() else lsq_linear(A, b, limits, method="trf").x, np.float64
+    )
 
 
 def typical_force(machine: Machine) -> float:

@@ -200,6 +200,9 @@ def test_a_step_is_finite_where_bounded_least_squares_divides_by_zero(
             return OptimizeResult(x=np.full(6, np.nan)) if method == "bvls" else solution
 
         monkeypatch.setattr(free_parameters, "lsq_linear", without_solution)
+    monkeypatch.setattr(
+        free_parameters, "_minimum_by_active_sets", lambda *model: None
+    )  # as if it did not settle
     lower = np.array([-0.63, -1.7, -2.4, 0.0, -15.0, -1.0])
     upper = np.array([16.0, 3.9, 0.0, 0.8, 85.0, 0.0])
     free = [FreeParameter("", 0.0, 1.0, 1.0, *limits) for limits in zip(lower, upper, strict=True)]
@@ -220,6 +223,26 @@ def test_a_step_is_finite_where_bounded_least_squares_divides_by_zero(
     slope, near = (hessian @ step + gradient) / np.sqrt(np.diag(hessian)), 1e-3
     assert np.all((slope > -near) | (step > upper - near))
     assert np.all((slope < near) | (step < lower + near))
+
+
+def test_active_sets_find_the_minimum_of_bounded_least_squares() -> None:
+    rng, settled = np.random.default_rng(0), 0
+    for _ in range(60):
+        count = int(rng.integers(1, 20))
+        root = rng.normal(size=(count, count)) * np.exp(2.0 * rng.normal(size=count))
+        hessian, gradient = root.T @ root + 0.01 * np.eye(count), np.exp(rng.normal(size=count)) - 1.0
+        low = np.where(rng.random(count) < 0.2, -np.inf, -np.exp(rng.normal(size=count)))
+        high = np.where(
+            rng.random(count) < 0.2, np.inf, np.exp(rng.normal(size=count)) * (rng.random(count) < 0.8)
+        )
+        step = free_parameters._minimum_by_active_sets(hessian, gradient, low, high)
+        if step is not None:
+            settled += 1
+            expected = free_parameters._minimum_by_least_squares(hessian, gradient, (low, high))
+            assert np.all((low <= step) & (step <= high))
+            costs = [2.0 * s @ gradient + s @ hessian @ s for s in (step, expected)]
+            assert costs[0] <= costs[1] + 1e-9 * abs(costs[1])
+    assert settled > 50
 
 
 def test_a_step_keeps_linear_parameters_within_their_bounds() -> None:
