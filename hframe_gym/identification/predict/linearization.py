@@ -324,8 +324,9 @@ class Linearization:
                 longest_step=model.longest_step,
             )
             residual, projection = model.residuals(run, motion.readings), self.projections[run.name]
-            residual = residual if projection is None else projection(residual)
-            return np.asarray(np.einsum("bi,bi->b", residual, residual))
+            if projection is None:
+                return np.asarray(np.einsum("bi,bi->b", residual, residual))
+            return projection.costs(residual)
 
         total = np.sum(list(map_runs(of_run, model.data)), axis=0)
         return np.where(np.isfinite(total), total, np.inf)

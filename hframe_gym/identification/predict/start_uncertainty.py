@@ -238,6 +238,16 @@ class InitialStateProjection:
         projected_rows = explained @ self.directions.T
         return np.subtract(residual, projected_rows, out=projected_rows)
 
+    def costs(self, residual: Array) -> Array:
+        """Return the sums of squares of projected residuals, shape (batch,), without computing these.
+
+        Args:
+            residual: Residuals of a batch of predictions, in units of the noise, shape (batch, rows).
+        """
+        along = residual @ self.directions
+        removed = self.weights * (2.0 - self.weights)  # of the square along each direction
+        return np.asarray(np.einsum("bi,bi->b", residual, residual) - along**2 @ removed)
+
 
 def probable_amounts(residual: Array, displaced: Array) -> Array:
     """Return how far along each displacement of its start a run most probably began, as a fit assumes.

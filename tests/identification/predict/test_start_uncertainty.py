@@ -56,6 +56,8 @@ def test_initial_stretch_is_projected_out_of_a_simulation(hframe: Machine) -> No
     assert np.all((projection.weights > 0) & (projection.weights < 1))
     direction = projection.directions[:, :1].T
     np.testing.assert_allclose(projection(direction), direction * (1 - projection.weights[0]), atol=1e-9)
+    several = np.vstack([direction, np.random.default_rng(0).normal(size=(3, direction.size))])
+    np.testing.assert_allclose(projection.costs(several), np.sum(projection(several) ** 2, axis=1), rtol=1e-9)
 
 
 def test_projection_of_a_machine_close_to_divergence_does_not_overflow(hframe: Machine) -> None:
