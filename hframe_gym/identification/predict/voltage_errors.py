@@ -178,11 +178,14 @@ class Whitening(NamedTuple):
         log_variance = np.zeros((len(factors), count))
         for first in range(0, len(factors), _BLOCKS_TOGETHER):
             part = slice(first, first + _BLOCKS_TOGETHER)
-            root = np.linalg.cholesky(_covariances(responses, variance, first, len(factors[part])))
-            unit = np.eye(root.shape[1])[:, -count:]
-            inverse = np.linalg.solve(root.swapaxes(1, 2), np.broadcast_to(unit, (len(root), *unit.shape)))
-            factors[part] = inverse.swapaxes(1, 2)
-            log_variance[part] = 2.0 * np.log(np.diagonal(root, axis1=1, axis2=2)[:, -count:])
+            covariances = _covariances(responses, variance, first, len(factors[part]))
+            before, with_before = covariances[:, :-count, :-count], covariances[:, :-count, -count:]
+            # What the rows before a block say about it; only what they leave open needs a factor.
+            expected = np.linalg.solve(before, with_before).swapaxes(1, 2)
+            root = np.linalg.cholesky(covariances[:, -count:, -count:] - expected @ with_before)
+            factors[part, :, -count:] = inverse = np.linalg.inv(root)
+            factors[part, :, :-count] = -inverse @ expected
+            log_variance[part] = 2.0 * np.log(np.diagonal(root, axis1=1, axis2=2))
         return cls(factors, log_variance.reshape(-1, sensors)[: values // sensors])
 
     def __call__(self, residual: Array) -> Array:
@@ -226,7 +229,9 @@ def _covariances(responses: sparse.csr_array, variance: Array, first: int, block
             covariances[:, k + apart, :, k] = products[k : k + blocks]
             covariances[:, k, :, k + apart] = products[k : k + blocks].swapaxes(1, 2)
     size = (before + 1) * count
-    return covariances.reshape(blocks, size, size) + np.diag(np.tile(variance, (before + 1) * _BLOCK))
+    complete = covariances.reshape(blocks, size, size)
+    complete[:, range(size), range(size)] += np.tile(variance, (before + 1) * _BLOCK)
+    return complete
 
 
 class InterpolationErrors(VoltageErrors):
