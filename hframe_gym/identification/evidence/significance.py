@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 
 import numpy as np
 
@@ -154,7 +154,7 @@ def effect_evidence(without: Fit, tested: TestedFit, effect: AppliedEffect) -> E
         confirmed=lambda: leave_one_out_gain(without, with_effect, data),
         confirmed_accurate=lambda: refitted_leave_one_out_gain(without, with_effect, data),
         fault=lambda: plausibility_fault(with_effect.machine),
-        chance=lambda: _chance(without, with_effect, effect, data),
+        chance=cache(lambda: _chance(without, with_effect, effect, data)),  # two tests need it
         chance_narrower=None if has_narrowest_observer(with_effect, data) else narrower,
         forces=lambda: _forces(without, with_effect, effect, data),
         forces_accurate=lambda: _forces(without, tested.likeliest, effect, data),
