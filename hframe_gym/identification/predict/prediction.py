@@ -12,8 +12,11 @@ sample, so that the error of a wrong model remains local in time. Its bandwidth 
 
 from __future__ import annotations
 
+import os
+import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
+from functools import lru_cache
 from typing import TypeVar
 
 import numpy as np
@@ -54,14 +57,39 @@ def map_runs(function: Callable[[PreparedRecording], T], data: Dataset) -> Itera
     Yields:
         Result of the function for each run, in the order of the runs.
     """
-    count = min(threads(), len(data.runs))
+    count = threads()
     # The runs occupy all cores; threads of the linear algebra library beside them would only wait for each other.
     with single_threaded_linear_algebra():
-        if count == 1:
+        if min(count, len(data.runs)) == 1 or _of_pool.here:
             yield from map(function, data.runs)
             return
-        with ThreadPoolExecutor(count) as pool:
-            yield from pool.map(function, data.runs)
+        results = [_pool(os.getpid(), count).submit(function, run) for run in data.runs]
+        try:
+            for result in results:
+                yield result.result()
+        finally:  # after an error as well, nothing goes on
+            for result in results:
+                result.cancel()
+            wait(results)
+
+
+class _OfPool(threading.local):
+    """Whether the present thread is one of the pool: it must not wait for others of the pool."""
+
+    here = False
+
+
+_of_pool = _OfPool()
+
+
+@lru_cache(maxsize=4)
+def _pool(process: int, count: int) -> ThreadPoolExecutor:
+    """Return threads that are kept between calls; a forked process does not inherit them and makes new ones."""
+
+    def mark() -> None:
+        _of_pool.here = True
+
+    return ThreadPoolExecutor(count, thread_name_prefix="hframe-runs", initializer=mark)
 
 
 def sensor_bandwidths(machine: Machine, bandwidth: float) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import time
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset, prepare
 from hframe_gym.identification.fit.missing_force import smooth_force_residual
+from hframe_gym.identification.predict.error_loops import mean_errors, scaled_errors
 from hframe_gym.identification.predict.prediction import (
     SEARCH_BANDWIDTH,
     SIMULATION,
@@ -20,6 +22,7 @@ from hframe_gym.identification.predict.prediction import (
     residuals,
 )
 from hframe_gym.machine import BUILTIN_MACHINES, Machine, rest_state
+from hframe_gym.preparation.dataset import PreparedRecording
 from hframe_gym.recordings import Recording
 
 
@@ -138,6 +141,53 @@ def test_blocks_keep_the_size_of_slow_residuals_and_of_white_noise(data: Dataset
 def test_results_of_runs_keep_their_order(axis: Machine) -> None:
     data = prepare([recorded(axis, name, rows) for name, rows in (("long", 900), ("short", 300))], axis)
     assert list(map_runs(lambda run: run.name, data)) == ["long", "short"]
+
+
+def test_a_function_of_a_run_may_ask_for_all_runs(axis: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Threads that wait for each other would never end."""
+    monkeypatch.setenv("HFRAME_THREADS", "2")
+    data = prepare([recorded(axis, name, 300) for name in ("a", "b")], axis)
+
+    def names(run: PreparedRecording) -> str:
+        return run.name + "".join(map_runs(lambda other: other.name, data))
+
+    assert list(map_runs(names, data)) == ["aab", "bab"]
+
+
+def test_after_an_error_in_a_run_no_other_goes_on(axis: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HFRAME_THREADS", "2")
+    data = prepare([recorded(axis, name, 300) for name in ("a", "b")], axis)
+    ended = []
+
+    def fail_or_end(run: PreparedRecording) -> None:
+        if run.name == "a":
+            raise ZeroDivisionError
+        time.sleep(0.05)
+        ended.append(run.name)
+
+    with pytest.raises(ZeroDivisionError):
+        list(map_runs(fail_or_end, data))
+    assert ended in (["b"], [])
+    before = list(ended)
+    time.sleep(0.1)
+    assert ended == before
+
+
+@pytest.mark.parametrize(
+    ("rows", "sensors", "rows_per_block"), [(37, 4, 1), (64, 2, 1), (5, 1, 1), (37, 3, 4)]
+)
+def test_loops_over_predictions_are_those_of_numpy(rows: int, sensors: int, rows_per_block: int) -> None:
+    rng = np.random.default_rng(0)
+    measured, weights = rng.normal(size=(rows, sensors)), rng.random((rows, sensors))
+    predicted, zeros = rng.normal(size=(3, rows, sensors)), rng.normal(size=(3, sensors))
+    means = mean_errors(measured, predicted, weights, 2, rows)
+    expected = np.sum((weights * (measured - predicted))[:, 2:], axis=1) / weights[2:].sum(axis=0)
+    np.testing.assert_allclose(means, expected, rtol=1e-12)
+    errors = (measured - predicted - zeros[:, None]) * weights
+    complete = rows // rows_per_block * rows_per_block
+    blocks = errors[:, :complete].reshape(3, -1, rows_per_block, sensors).sum(axis=2)
+    found = scaled_errors(measured, predicted, zeros, weights, rows_per_block)
+    np.testing.assert_allclose(found, blocks, rtol=1e-12, atol=1e-15)
 
 
 def test_the_true_machine_lacks_no_force_where_an_effect_falsifies_the_position_at_rest() -> None:
