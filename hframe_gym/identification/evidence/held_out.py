@@ -138,6 +138,25 @@ def is_excited(selected: SelectedEffect, machine: Machine, validation: Dataset, 
     return judge.is_excited(float(change), float(error))
 
 
+def shown_effects(
+    selected: Sequence[SelectedEffect], machine: Machine, validation: Dataset, bandwidth: float
+) -> dict[str, judge.HeldOutEffect]:
+    """Return what the held-out runs say about each of several effects, by its label.
+
+    Args:
+        selected: Effects that the search selected.
+        machine: Machine with all effects.
+        validation: Held-out runs, which were not fitted.
+        bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
+    """
+    return {
+        s.effect.label: judge.HeldOutEffect(
+            held_out_gain(s, machine, validation, bandwidth), is_excited(s, machine, validation, bandwidth)
+        )
+        for s in selected
+    }
+
+
 def contradicting_held_out_runs(
     after: Fit, before: Machine, selected: Sequence[SelectedEffect], validation: Dataset
 ) -> tuple[str, ...]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 
 from .chance import LongRunVariance, chance_gain
 from .criteria import SelectionCriteria
-from .error import CLEAR, FitError, nearly_explains
+from .error import AS_GOOD, CLEAR, FitError, nearly_explains
 
 
 def equal_margin(without: FitError, best_cost: float, criteria: SelectionCriteria) -> float:
@@ -57,9 +58,11 @@ class TrialEvidence:
 def may_be_the_cause(evidence: TrialEvidence, criteria: SelectionCriteria) -> bool:
     """Return whether another effect that was tried may be the cause in place of the selected one.
 
-    It may if it explains nearly as much. So it may if chance can cause the difference, provided that the selected
-    effect nearly explains the data (the variance is else that of missing effects) and the other one explains more than
-    half as much: what is left is correlated in time, and an effect that is not there may take up some of it.
+    It may if it explains nearly as much. So it may if it explains more than half as much, and if chance can cause the
+    difference: what is left is correlated in time, and an effect that is not there may take up some of it. Where the
+    selected effect does not nearly explain the data, what is left is that of missing effects and not chance. Both
+    effects are then as good as each other if they leave about the same of it: the trials are neither complete nor
+    accurate, and both effects are compared again beside those that are missing.
 
     Args:
         evidence: Errors without and with each of the two effects.
@@ -69,8 +72,11 @@ def may_be_the_cause(evidence: TrialEvidence, criteria: SelectionCriteria) -> bo
     lost = evidence.cost - best_cost
     if lost < equal_margin(evidence.without, best_cost, criteria):
         return True
-    if not nearly_explains(evidence.selected, criteria) or CLEAR * lost >= evidence.without.cost - best_cost:
+    if CLEAR * lost >= evidence.without.cost - best_cost:
         return False
+    if not nearly_explains(evidence.selected, criteria):
+        other = dataclasses.replace(evidence.selected, cost=evidence.cost)
+        return other.excess < AS_GOOD * evidence.selected.excess
     return lost < chance_gain(evidence.variance(), criteria)
 
 

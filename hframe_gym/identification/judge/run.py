@@ -11,6 +11,7 @@ import numpy as np
 from ...arrays import Array
 from .criteria import SelectionCriteria
 from .error import AS_GOOD, CLEAR, FAR, FitError, Measured, is_enough, required_gain
+from .held_out import HeldOutEffect
 
 # Two runs may differ in almost any parameter, and two must agree with each other for another one to contradict them.
 MIN_RUNS_COMPARED = 3
@@ -282,3 +283,16 @@ def exchanges_held_out(differing: int, held_out: int, fitted: int) -> bool:
         fitted: Number of fitted runs.
     """
     return differing >= held_out and fitted > differing
+
+
+def exchange_confirms(effects: Sequence[HeldOutEffect]) -> bool:
+    """Return whether the runs that are held out in exchange confirm effects that were found in all others.
+
+    The other division of the runs was chosen because the first held-out runs contradicted. These are fitted now, so
+    that they confirm nothing. Runs that agreed with the machine without effects do, if they depend on each effect: a
+    cause that is present in one run alone, such as a loose connector, leaves no trace in them.
+
+    Args:
+        effects: What the runs that are held out now say about each effect.
+    """
+    return bool(effects) and all(effect.excited and effect.gain > 0.0 for effect in effects)

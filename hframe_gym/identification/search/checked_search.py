@@ -14,7 +14,7 @@ from ...machine import Machine
 from ...preparation.dataset import Dataset, with_known_positions
 from ...preparation.excerpt import LARGEST_FIT, NORMAL_SESSION, describe_part, representative_part
 from ..budget import LAST_STAGE_END, SECOND_SEARCH_PART, Budget, BudgetEndedError, stage_ends
-from ..evidence.held_out import contradicting_held_out_runs, held_out_gain, is_excited, worsens_simulation
+from ..evidence.held_out import contradicting_held_out_runs, shown_effects, worsens_simulation
 from ..evidence.tried_effects import Log, SelectedEffect
 from ..fit.estimation import Fit, fit
 from ..fit.lost_voltages import held_over_gaps, with_lost_voltages
@@ -23,8 +23,8 @@ from ..fit.run_differences import find_run_differences
 from ..fit.start_estimation import refine_dataset
 from ..fit.voltage_updates import can_show_updates, describe_interpolation, voltage_updates
 from ..judge.criteria import SelectionCriteria
-from ..judge.held_out import HeldOutEffect, refuted_effects
-from ..judge.run import MIN_RUNS_COMPARED, exchanges_held_out, run_that_differs_alone
+from ..judge.held_out import refuted_effects
+from ..judge.run import MIN_RUNS_COMPARED, exchange_confirms, exchanges_held_out, run_that_differs_alone
 from ..predict.free_parameters import default_free_parameters
 from ..predict.prediction import SEARCH_BANDWIDTH
 from ..predict.voltage_errors import with_voltage_errors
@@ -141,6 +141,9 @@ def find_effects(
         exchanged = _search_and_check(machine, all_runs, others, criteria, log, budget, before_search)
         if exchanged.outcome.contradiction in found.differing and not exchanged.differing:
             found = exchanged  # the run that had been held out is the only one that disagrees
+        elif _explains_all_runs(exchanged) and _is_confirmed(exchanged.outcome, exchanged.held_out):
+            log("the runs that are held out now confirm these effects")
+            found = exchanged
         else:
             found = found._replace(hint=_hint(found, exchanged))
     with budget.limiting(delivers=True):
@@ -353,15 +356,29 @@ def _runs_to_exchange(found: CheckedOutcome, log: Log) -> list[str]:
     return others
 
 
+def _explains_all_runs(exchanged: CheckedOutcome) -> bool:
+    """Return whether effects explain all runs together, of which others are held out than at first."""
+    outcome = exchanged.outcome
+    alone = outcome.contradiction or exchanged.differing
+    return bool(outcome.selected) and outcome.explained and not alone
+
+
+def _is_confirmed(outcome: SearchOutcome, held_out: Dataset) -> bool:
+    """Return whether the runs that are held out now depend on the effects and confirm them."""
+    machine = outcome.after.machine
+    runs = refine_dataset(held_out, machine, outcome.data)
+    shown = shown_effects(outcome.selected, machine, runs, outcome.bandwidth)
+    return exchange_confirms([*shown.values()])
+
+
 def _hint(found: CheckedOutcome, exchanged: CheckedOutcome) -> str:
     """Return a hint at effects that explain all runs together, if the held-out runs are fitted; otherwise "".
 
     They are named only as a hint: no run is left that could confirm them.
     """
-    outcome = exchanged.outcome
-    if not outcome.selected or not outcome.explained or outcome.contradiction or exchanged.differing:
+    if not _explains_all_runs(exchanged):
         return ""
-    effects = ", ".join(s.effect.label for s in outcome.selected)
+    effects = ", ".join(s.effect.label for s in exchanged.outcome.selected)
     return _HINT.format(effects, ", ".join(found.differing))
 
 
@@ -381,13 +398,7 @@ def without_unconfirmed(outcome: SearchOutcome, validation: Dataset, log: Log) -
     while outcome.selected and validation.runs:
         after, selected = outcome.after, outcome.selected
         runs = refine_dataset(validation, after.machine, data)
-        shown = {
-            s.effect.label: HeldOutEffect(
-                held_out_gain(s, after.machine, runs, outcome.bandwidth),
-                is_excited(s, after.machine, runs, outcome.bandwidth),
-            )
-            for s in selected
-        }
+        shown = shown_effects(selected, after.machine, runs, outcome.bandwidth)
         refuted, reason = refuted_effects(
             shown, partial(worsens_simulation, before.machine, after.machine, runs)
         )
