@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ...machine import HOOKS, AppliedEffect, Machine, argument_names
+from ...effects.smooth_table import TABLE_FAMILY
+from ...machine import HOOKS, AppliedEffect, Effect, Machine, argument_names
 from ..fit.covariance import BLOCK_S
 
 # Variable of a coordinate, drive or belt by the name of an argument of an effect's formulas (`Effect`).
@@ -85,3 +86,14 @@ def _variables(effect: AppliedEffect) -> set[tuple[str, bool]]:
     hooks = [getattr(effect.definition, hook) for hook in HOOKS if getattr(effect.definition, hook)]
     arguments = {name for hook in hooks for name in argument_names(hook)}
     return {(_VARIABLES[name], periodic) for name in arguments & set(_VARIABLES)}
+
+
+def describes_one_run(effect: Effect) -> bool:
+    """Return whether an effect may describe what is wrong in one run of a session, whatever it is in the others.
+
+    A function of time and a clock act in each run as they do at its time only, a winding begins each run with another
+    gain, and a table has values that are fitted where one run alone reaches.
+    """
+    over_time = any(hook and "t" in argument_names(hook) for hook in (getattr(effect, name) for name in HOOKS))
+    heats = effect.site == "drive" and effect.initial_spread is not None
+    return over_time or heats or effect.clock is not None or effect.family == TABLE_FAMILY

@@ -14,10 +14,12 @@ from ...machine import Machine
 from ...preparation.dataset import Dataset, with_known_positions
 from ...preparation.excerpt import LARGEST_FIT, NORMAL_SESSION, describe_part, representative_part
 from ..budget import LAST_STAGE_END, SECOND_SEARCH_PART, Budget, BudgetEndedError, stage_ends
+from ..evidence.effect_variables import describes_one_run
 from ..evidence.held_out import contradicting_held_out_runs, shown_effects, worsens_simulation
 from ..evidence.tried_effects import Log, SelectedEffect
 from ..fit.estimation import Fit, fit
 from ..fit.lost_voltages import held_over_gaps, with_lost_voltages
+from ..fit.model_error import contradicting_run
 from ..fit.plain_fit import PlainFit, better_start, plain_fit
 from ..fit.run_differences import find_run_differences
 from ..fit.start_estimation import refine_dataset
@@ -196,9 +198,14 @@ def _search_and_check(
             for each in (data, all_rows)
         )
         refitted = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
+    agreeing, of_agreeing = data, refitted  # runs that show what voltages do between the rows
     if can_show_updates(data):
         log(f"comparing held {machine.commands_in_words} with some that change between the rows")
-    updates, responding, fitted_with_errors = voltage_updates(refitted, data, criteria), machine, False
+        suspect = contradicting_run(refitted, data)
+        if suspect is not None:  # its error would hide what the voltages cause
+            agreeing = data.with_runs([run.name for run in data.runs if run.name != suspect])
+            of_agreeing = fit(machine, default_free_parameters(machine), agreeing, SEARCH_BANDWIDTH)
+    updates, responding, fitted_with_errors = voltage_updates(of_agreeing, agreeing, criteria), machine, False
     search = partial(_search, machine, refitted=refitted, criteria=criteria, log=log, budget=budget)
     rejected: dict[
         int, int
@@ -211,7 +218,13 @@ def _search_and_check(
             changes = updates.describe(commands, data.period)
             log(f"{changes}; they are interpolated")
             fitted, validation = interpolated(
-                responding, updates.per_row, data, held_out, log, fitted_with_errors=fitted_with_errors
+                responding,
+                updates.per_row,
+                data,
+                held_out,
+                log,
+                fitted_with_errors=fitted_with_errors,
+                agreeing=[run.name for run in agreeing.runs],
             )
             quality = describe_interpolation(refitted.machine, fitted)
             messages = (*messages, _BETWEEN_ROWS.format(changes, quality, updates.per_row))
@@ -251,7 +264,14 @@ def _different_run(
 
 
 def interpolated(
-    machine: Machine, updates: int, data: Dataset, held_out: Dataset, log: Log, *, fitted_with_errors: bool
+    machine: Machine,
+    updates: int,
+    data: Dataset,
+    held_out: Dataset,
+    log: Log,
+    *,
+    fitted_with_errors: bool,
+    agreeing: Sequence[str],
 ) -> tuple[Dataset, Dataset]:
     """Return runs whose voltages are interpolated between the rows, with the errors that this causes.
 
@@ -267,6 +287,7 @@ def interpolated(
         log: Called with a line of text.
         fitted_with_errors: Whether the fit of the machine allowed for errors of interpolated voltages; otherwise it
             is fitted to these runs first.
+        agreeing: Names of the runs to which it is then fitted, without one that contradicts the others.
 
     Returns:
         Runs to fit, and held-out runs.
@@ -275,7 +296,8 @@ def interpolated(
         machine, data.with_updates(updates), held_out.with_updates(updates), log
     )
     if not fitted_with_errors:
-        machine = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH).machine
+        free = default_free_parameters(machine)
+        machine = fit(machine, free, data.with_runs(agreeing), SEARCH_BANDWIDTH).machine
     return with_voltage_errors(machine, data), with_voltage_errors(machine, held_out)
 
 
@@ -365,6 +387,8 @@ def _explains_all_runs(exchanged: CheckedOutcome) -> bool:
 
 def _is_confirmed(outcome: SearchOutcome, held_out: Dataset) -> bool:
     """Return whether the runs that are held out now depend on the effects and confirm them."""
+    if any(describes_one_run(s.effect.definition) for s in outcome.selected):
+        return False
     machine = outcome.after.machine
     runs = refine_dataset(held_out, machine, outcome.data)
     shown = shown_effects(outcome.selected, machine, runs, outcome.bandwidth)
