@@ -43,7 +43,7 @@ from ..fit.voltage_updates import other_updates
 from ..judge import trial as judge
 from ..judge.criteria import SelectionCriteria
 from ..judge.effect import enough_gain
-from ..judge.error import is_enough, nearly_explains, only_noise_is_left, required_gain
+from ..judge.error import FitError, is_enough, nearly_explains, only_noise_is_left, required_gain
 from ..judge.rival import largest_resembling_loss
 from ..judge.trial import StructureEvidence
 from ..predict.prediction import SIMULATION
@@ -319,15 +319,17 @@ class EffectSearch:
         best = self._best(current, trials, enough)
         if best is None:
             if structures:
-                self._structures_failed = (current.bandwidth, current.error.excess)
+                self._structures_failed = (current.bandwidth, _undivided(current.error, data).excess)
             return None
         return current, selected_first(best, trials)
 
     def _worth_structures(self, current: Fit, trials: list[Fit]) -> bool:
         """Return whether to try effects that replace a part of the model as well (`judge.is_worth_structures`)."""
-        best = min(trials, key=lambda trial: trial.cost).machine.effects[-1].definition if trials else None
-        remembers = best is not None and best.force is not None and best.next_state is not None
-        evidence = StructureEvidence(current.error, best_error(trials), remembers, *self._structures_failed)
+        best = best_error(trials)
+        definitions = [t.machine.effects[-1].definition for t in trials if t.error == best]
+        remembers = any(d.force is not None and d.next_state is not None for d in definitions)
+        error, least = _undivided(current.error, self.data), best and _undivided(best, self.data)
+        evidence = StructureEvidence(error, least, remembers, *self._structures_failed)
         return judge.is_worth_structures(evidence, self._criteria)
 
     def _exchange(
@@ -497,6 +499,11 @@ class EffectSearch:
                 others = (s for s in selected if s is not candidate)
                 return self.prune(reduced, tuple(s.with_values(reduced.machine) for s in others))
         return current, tuple(s.with_values(current.machine, without.get(s.effect.label)) for s in selected)
+
+
+def _undivided(error: FitError, data: Dataset) -> FitError:
+    """Return an error of which all may be that of a missing effect, if the share of unknown voltages is not known."""
+    return dataclasses.replace(error, floor=0.0) if data.has_voltage_errors else error
 
 
 def _effects_and_observer(fitted: Fit) -> tuple[float | str, ...]:
