@@ -94,6 +94,8 @@ def describes_one_run(effect: Effect) -> bool:
     A function of time and a clock act in each run as they do at its time only, a winding begins each run with another
     gain, and a table has values that are fitted where one run alone reaches.
     """
-    over_time = any(hook and "t" in argument_names(hook) for hook in (getattr(effect, name) for name in HOOKS))
+    over_time = any(
+        hook and "t" in argument_names(hook) for hook in (getattr(effect, name) for name in HOOKS)
+    )
     heats = effect.site == "drive" and effect.initial_spread is not None
     return over_time or heats or effect.clock is not None or effect.family == TABLE_FAMILY

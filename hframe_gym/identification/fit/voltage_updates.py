@@ -109,9 +109,14 @@ def other_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> Vo
         excess = excess_delay(fitted, data)
         if excess is None:
             return None
-        if not voltages_change_at_another_rate(excess.periods, math.hypot(excess.deviation, DELAY_STD)):
+        deviation = math.hypot(excess.deviation, DELAY_STD)
+        # The largest number is where the count ends, and need not be close to an estimate.
+        at_end = data.updates == most_updates(data)
+        if not at_end and not voltages_change_at_another_rate(excess.periods, deviation):
             return None
         per_row = count_updates(fitted, data, excess)
+        if at_end and not voltages_change_at_another_rate(0.5 / per_row - 0.5 / data.updates, deviation):
+            return None
         counted = continue_fit(fitted, data.with_updates(per_row), fitted.bandwidth)
         held = continue_fit(fitted, data.with_held_voltages(), SEARCH_BANDWIDTH)
         updates = VoltageUpdates(per_row, held.chi2, counted.chi2)
@@ -152,8 +157,48 @@ def count_updates(fitted: Fit, data: Dataset, excess: ExcessDelay | None = None)
                 number, excess = trial, found
                 break
         else:
+            if voltages_change_at_another_rate(excess.periods, excess.deviation):
+                number = _number_without_excess(fitted, data, number, excess)
             break
     return number
+
+
+def _number_without_excess(fitted: Fit, data: Dataset, number: int, excess: ExcessDelay) -> int:
+    """Return the number of changes a row at which instruments find neither a later nor an earlier action.
+
+    By how much the voltages act later depends on the number itself, and is too small where errors of the voltages pass
+    for delays that alternate. Its sign tells whether there are fewer changes or more. Their number is halved or doubled
+    until the sign changes, and the numbers between are bisected.
+
+    Args:
+        fitted: Fit of a machine to the runs.
+        data: Runs.
+        number: Number of changes that is clearly wrong.
+        excess: What instruments find with it.
+
+    Returns:
+        The number with the least excess next to the change of sign; the given one if there is no such change.
+    """
+    later, most = excess.periods > 0.0, most_updates(data)
+    beside, found = number, {number: abs(excess.periods)}
+    while (other := max(beside // 2, 2) if later else min(2 * beside, most)) != beside:
+        estimate = excess_delay(fitted, data.with_updates(other))
+        if estimate is None:
+            return number
+        found[other] = abs(estimate.periods)
+        if (estimate.periods > 0.0) != later:
+            break
+        beside = other
+    else:
+        return number
+    while abs(other - beside) > 1:
+        middle = (other + beside) // 2
+        estimate = excess_delay(fitted, data.with_updates(middle))
+        if estimate is None:
+            break
+        found[middle] = abs(estimate.periods)
+        beside, other = (middle, other) if (estimate.periods > 0.0) == later else (beside, middle)
+    return min((beside, other), key=found.__getitem__)
 
 
 def _number_with_delay(periods: float, most: int) -> int:

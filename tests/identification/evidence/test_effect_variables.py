@@ -8,6 +8,7 @@ from hframe_gym.effects import EFFECTS
 from hframe_gym.identification.evidence.effect_variables import (
     curves_of_one_variable,
     depend_on_same_variable,
+    describes_one_run,
 )
 from hframe_gym.machine import AppliedEffect
 from tests.identification.scripted_fits import (
@@ -71,3 +72,17 @@ def test_curves_of_one_variable_are_functions_of_it_alone_at_one_coordinate() ->
     ]
     assert curves_of_one_variable([spring, *others, cogging], HFRAME) == [spring, cogging]
     assert curves_of_one_variable([spring, *others], HFRAME) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "one_run"),
+    [
+        ("dead_band", False),
+        ("dahl_hysteresis", False),  # motion soon replaces the unknown deflection at the start
+        ("winding_heat", True),
+        ("friction_warm_up", True),
+        ("clock_drift", True),
+    ],
+)
+def test_what_may_describe_a_run_whatever_it_is_in_the_others(name: str, one_run: bool) -> None:
+    assert describes_one_run(EFFECTS[name]) == one_run

@@ -11,6 +11,7 @@ import pytest
 from hframe_gym import simulate
 from hframe_gym.data_validation.sampling import check_voltages_between_rows
 from hframe_gym.identification import Dataset, Fit, SelectionCriteria, default_free_parameters, fit, prepare
+from hframe_gym.identification.budget import Budget
 from hframe_gym.identification.fit import voltage_updates as voltage_updates_module
 from hframe_gym.identification.fit.slow_logs import ExcessDelay
 from hframe_gym.identification.fit.voltage_updates import (
@@ -24,7 +25,7 @@ from hframe_gym.identification.fit.voltage_updates import (
 )
 from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH, SIMULATION, predict
 from hframe_gym.identification.predict.voltage_errors import with_voltage_errors
-from hframe_gym.identification.search.checked_search import interpolated
+from hframe_gym.identification.search.checked_search import find_effects, interpolated
 from hframe_gym.identification.validate.recording_simulation import simulate_recording
 from hframe_gym.machine import BUILTIN_MACHINES
 from hframe_gym.preparation.interpolated_voltages import mean_inputs, update_times, updated_inputs
@@ -269,11 +270,71 @@ def test_a_delay_within_the_accuracy_of_the_times_is_no_other_number(
     assert (updates and updates.per_row) == expected
 
 
+@pytest.mark.parametrize(
+    ("excess", "expected"),
+    [
+        # Small at the largest number, where errors of the voltages pass for delays; the sign changes between 4 and 5.
+        ({3: -0.04, 4: -0.01, 5: 0.012, 6: 0.03, 10: 0.04, 16: 0.018}, 4),
+        ({4: 0.03, 10: 0.04, 16: 0.018, 2: 0.05}, None),  # no number explains it
+        ({10: 0.02, 16: 0.001}, None),  # by no more than chance
+    ],
+)
+def test_the_sign_of_the_delay_leads_away_from_the_largest_number(
+    monkeypatch: pytest.MonkeyPatch, excess: dict[int, float], expected: int | None
+) -> None:
+    data = slow_log(4).with_updates(16)
+    fitted = refitted(data)
+
+    def excess_delay(fitted: Fit, data: Dataset, start: ExcessDelay | None = None) -> ExcessDelay:
+        nearest = min(excess, key=lambda number: abs(number - data.updates))
+        return ExcessDelay(excess[nearest], 0.003, fitted.theta)
+
+    monkeypatch.setattr(voltage_updates_module, "excess_delay", excess_delay)
+    updates = other_updates(fitted, with_voltage_errors(fitted.machine, data), SelectionCriteria())
+    assert (updates and updates.per_row) == expected
+
+
+class _BegunError(Exception):
+    """A search begins."""
+
+
+def test_a_run_with_another_gain_does_not_hide_changes_between_the_rows() -> None:
+    bad = dataclasses.replace(every(controlled(3), 4), inputs=0.5 * every(controlled(3), 4).inputs)
+    runs = [*(every(controlled(seed), 4) for seed in range(3)), bad]
+    found: list[Dataset] = []
+
+    def begin(plain: object, fitted: Dataset, validation: Dataset) -> None:
+        found.append(fitted)
+        raise _BegunError
+
+    with pytest.raises(_BegunError):
+        find_effects(
+            AXIS,
+            prepare(runs, AXIS),
+            [],
+            may_exchange=False,
+            criteria=SelectionCriteria(),
+            log=lambda line: None,
+            budget=Budget(),
+            before_search=begin,
+        )
+    assert found[0].updates > 1
+    assert [run.name for run in found[0].runs] == ["run_0", "run_1", "run_2", "run_3"]
+
+
 @pytest.mark.parametrize("fitted_with_errors", [False, True])
 def test_a_machine_that_was_fitted_with_errors_of_the_voltages_shows_them(fitted_with_errors: bool) -> None:
     """A carriage of half the mass responds to the voltages twice as much."""
     light, data = AXIS.replace({"x.mass": 0.5 * RIG.coordinates[0].mass}), slow_log(4)
-    fitted, held_out = interpolated(light, 4, data, data, print, fitted_with_errors=fitted_with_errors)
+    fitted, held_out = interpolated(
+        light,
+        4,
+        data,
+        data,
+        print,
+        fitted_with_errors=fitted_with_errors,
+        agreeing=[run.name for run in data.runs],
+    )
     expected = light if fitted_with_errors else refitted(data.with_updates(4)).machine
     errors = with_voltage_errors(expected, data.with_updates(4)).runs[0].voltage_errors
     assert errors is not None

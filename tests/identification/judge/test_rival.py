@@ -40,7 +40,9 @@ def test_of_equally_good_trials_the_simplest_comes_first() -> None:
             True,
         ),  # the eccentric pulley beside an eccentric encoder: chance causes 0.027
         (1.212, 1.167, 1.19, 40.0, False),  # within chance, but it explains less than half as much
-        (3.0, 1.6, 1.65, 1e4, False),  # what is left may be that of missing effects
+        (3.0, 1.6, 1.75, 1e4, False),  # what is left may be that of missing effects
+        (3.0, 1.6, 1.65, 1.0, True),  # of which it leaves about the same: excesses of 0.65 and 0.6
+        (1.82, 1.8, 1.811, 1.0, False),  # about the same, but it explains less than half as much
         (3.0, 1.4, 1.45, 1e4, True),
     ],
 )

@@ -10,6 +10,7 @@ import pytest
 from hframe_gym.identification import SelectionCriteria
 from hframe_gym.identification.judge import run as judge
 from hframe_gym.identification.judge.error import FitError
+from hframe_gym.identification.judge.held_out import HeldOutEffect
 from hframe_gym.identification.judge.run import HeldOutRun, interpolation_suffices
 
 CRITERIA = SelectionCriteria()
@@ -199,3 +200,18 @@ def test_the_error_that_interpolation_adds_is_no_sign_of_held_voltages(
     """Two changes a row add to the error what the log lacks, and yet reduce it."""
     errors = (FitError(1e5 * held, 1e5, 60.0, floor=1.09), FitError(1e5 * updated, 1e5, 60.0, floor=expected))
     assert judge.voltages_change_between_rows(judge.UpdatesEvidence(*errors, 1.0), CRITERIA) == change
+
+
+@pytest.mark.parametrize(
+    ("effects", "confirmed"),
+    [
+        ([(0.9, True), (0.1, True)], True),
+        ([(0.9, True), (0.0, False)], False),  # they may be present in the contradictory run alone
+        ([(0.9, True), (-0.1, True)], False),
+        ([], False),
+    ],
+)
+def test_runs_held_out_in_exchange_confirm_the_effects_that_they_depend_on(
+    effects: list[tuple[float, bool]], confirmed: bool
+) -> None:
+    assert judge.exchange_confirms([HeldOutEffect(*effect) for effect in effects]) == confirmed

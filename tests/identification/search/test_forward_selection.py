@@ -78,6 +78,16 @@ def test_structural_effects_are_tried_where_the_others_leave_enough(scripted: Sc
     assert [s.effect for s in effects] == [FRAME]
 
 
+@pytest.mark.parametrize(("unknown_voltages", "tried"), [(True, True), (False, False)])
+def test_structural_effects_are_tried_where_the_size_of_the_noise_is_not_known(
+    scripted: Scripted, unknown_voltages: bool, tried: bool
+) -> None:
+    scripted.structures = [[fit_with(FRAME, chi2=0.9)]]
+    data = SimpleNamespace(**{**vars(DATA), "has_voltage_errors": unknown_voltages})
+    scripted.search(data).run(fit_with(chi2=1.02 if not unknown_voltages else 0.9))
+    assert (scripted.structures == []) == tried
+
+
 @pytest.mark.parametrize(("chi2", "retried"), [(5.0, True), (7.1, False)])
 def test_structural_effects_are_tried_again_once_the_error_is_clearly_smaller(
     scripted: Scripted, chi2: float, retried: bool

@@ -17,6 +17,7 @@ from hframe_gym.identification import (
     fit,
     prepare,
 )
+from hframe_gym.identification.budget import Budget
 from hframe_gym.identification.evidence.held_out import (
     contradicting_held_out_runs,
     held_out_gain,
@@ -24,7 +25,12 @@ from hframe_gym.identification.evidence.held_out import (
 )
 from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH, SIMULATION
 from hframe_gym.identification.propose.trial_fits import without_effect
-from hframe_gym.identification.search.checked_search import _contradicting_runs, without_unconfirmed
+from hframe_gym.identification.search import checked_search
+from hframe_gym.identification.search.checked_search import (
+    CheckedOutcome,
+    _contradicting_runs,
+    without_unconfirmed,
+)
 from hframe_gym.identification.search.outcome import SearchOutcome
 from hframe_gym.identification.validate.evaluation import with_certain_effects
 from hframe_gym.machine import Machine
@@ -178,3 +184,29 @@ def test_of_two_refuted_effects_the_one_that_requires_the_other_is_removed_first
     removed = without_unconfirmed(outcome, validation, lines.append)
     assert removed.selected == ()
     assert [line.split()[0] for line in lines] == [overtone.label, cogging.label]
+
+
+@pytest.mark.parametrize(("present", "named"), [(True, True), (False, False)])
+def test_the_run_that_is_held_out_in_exchange_confirms_an_effect(
+    axis: Machine, monkeypatch: pytest.MonkeyPatch, present: bool, named: bool
+) -> None:
+    """All other runs are fitted then; without the force in this run, another run must confirm it."""
+    pushed = axis.with_effects(EFFECTS["constant_force"].at("x", size=0.3))
+    data = prepare([recorded(pushed, 0), recorded(pushed, 2)], axis)
+    run = prepare([recorded(pushed if present else axis, 1)], axis)
+    before, outcome = outcome_with_force(axis, data, 0.3, True)
+    first = SearchOutcome(before, True, True, "no_effect", before, (), (), data)
+    searches = [CheckedOutcome(first, run, ("run_1",)), CheckedOutcome(outcome, run, ())]
+    monkeypatch.setattr(checked_search, "_search_and_check", lambda *arguments: searches.pop(0))
+    found = checked_search.find_effects(
+        axis,
+        data,
+        ["run_1"],
+        may_exchange=True,
+        criteria=SelectionCriteria(),
+        log=lambda line: None,
+        budget=Budget(),
+        before_search=lambda *arguments: None,
+    )
+    assert [s.effect.label for s in found.outcome.selected] == (["constant_force@x"] if named else [])
+    assert bool(found.hint) != named
