@@ -318,8 +318,8 @@ def default_free_parameters(machine: Machine, *, effects: bool = True) -> tuple[
       its constant part `rest_length`, the length at position 0.
     - The torque constant Kt of every drive that sets no unit of force, and nonzero back-EMF constants Ke.
     - The gains and limits of every drive that follows a set point, without those at their defaults.
-    - The resistance of every drive whose current is measured and not controlled, which separates its electrical from its
-      mechanical side.
+    - The resistance of every drive whose current is measured and not controlled, which separates its electrical from
+      its mechanical side.
     - The parameters of declared effects.
 
     Left out are parameters that the machine ties to others, and the torque constant of one drive (the `unit_of_force`

@@ -35,7 +35,12 @@ def test_one_drive_of_each_group_of_coordinates_sets_the_unit_of_force(
 
 @pytest.mark.parametrize(
     ("kind", "free"),
-    [("voltage", ["motor.resistance"]), ("duty-cycle", ["motor.resistance"]), ("current", []), ("torque", [])],
+    [
+        ("voltage", ["motor.resistance"]),
+        ("duty-cycle", ["motor.resistance"]),
+        ("current", []),
+        ("torque", []),
+    ],
 )
 def test_a_measured_current_frees_the_resistance_of_drives_that_do_not_control_it(
     kind: str, free: list[str]
