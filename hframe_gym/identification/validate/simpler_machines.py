@@ -21,11 +21,18 @@ from ..evidence.tried_effects import Log, SelectedEffect
 from ..fit.estimation import Fit, prediction_cost
 from ..fit.plain_fit import PlainFit, equally_weighted, refined_equally
 from ..judge.criteria import SelectionCriteria
-from ..judge.verdict import description_helps, forces_contradict, is_worse_than, needs_description
+from ..judge.verdict import (
+    description_helps,
+    forces_contradict,
+    is_worse_than,
+    needs_description,
+    predictions_prevail,
+)
 from ..predict.prediction import SIMULATION
 from ..search.forward_selection import EffectSearch
 from ..search.outcome import VoltagesChangeError, without_names
 from .evaluation import Evaluated, HeldOutTest, HeldOutTests, Judged, with_certain_effects
+from .held_out_predictions import predictions_by_run
 from .machine_errors import ModelEvaluation, error_ratio
 
 _MAX_EFFECTS = 2  # Each further one takes longer and removes less.
@@ -139,13 +146,14 @@ def no_worse(judgment: Judged, plain: PlainFit | None, log: Log, budget: Budget)
         result, delivered, sentence = _compared(judgment, plain, log, budget)
     elif (described := _described(judgment, evaluated.before, None, log, budget)) is not None:
         delivered, sentence = described
-    if _is_worse(delivered.after, evaluated.declared, delivered.test):
+    if _is_worse(delivered.after, evaluated.declared, delivered.test, delivered.outcome.data):
         sentence = _DECLARED_DELIVERED.format(error_ratio(delivered.after, evaluated.declared))
         log(sentence)
         result = result and dataclasses.replace(result, delivered=False)
         delivered = _instead(evaluated, _declared(evaluated), _WORSE_THAN_DECLARED)
     if evaluated.outcome.selected and not delivered.outcome.selected:
-        return Delivered(delivered._replace(reason=sentence), result, ())
+        clause = sentence.removesuffix(".")
+        return Delivered(delivered._replace(reason=clause), result, ())
     remarks = (sentence,) if sentence else ()
     return Delivered(delivered._replace(reason=evaluated.reason), result, remarks)
 
@@ -164,19 +172,21 @@ def _compared(
         budget.reserve(
             test.seconds() * (1.0 + _runs_to_report(test, outcome.data))
         )  # a description, the report
-    base = reference if _is_worse(evaluated.before, reference, test) else evaluated.before
+    base = reference if _is_worse(evaluated.before, reference, test, outcome.data) else evaluated.before
     searched_from = None if test.session.machine.belts else start.simulated
     described = _described(judgment, base, searched_from, log, budget)
     if described is not None:
         return result, *described
     ratio = error_ratio(evaluated.after, reference)
+    if ratio > 1.0 and _predicts_better(evaluated.after, reference, test, outcome.data):
+        return result, evaluated, ""
     if outcome.selected and ratio > 1.0:  # their parameters were fitted to short predictions
         with budget.limiting(LAST_STAGE_END, delivers=True):
             after = refined_equally(outcome.after, outcome.data)
         selected = tuple(s.with_values(after.machine) for s in outcome.selected)
         found = outcome._replace(after=after, selected=selected)
         again = test.evaluate(with_certain_effects(found, test.criteria, log))
-        if error_ratio(again.after, reference) < ratio and not _is_worse(again.after, reference, test):
+        if error_ratio(again.after, reference) < ratio and not _simulates_worse(again.after, reference, test):
             lacking, without = again.after.held_out.lacking, evaluated.before.held_out.lacking
             if lacking is None or without is None or not forces_contradict(lacking, without):
                 return result, again, _REFINED
@@ -184,7 +194,7 @@ def _compared(
             sentence = _NO_CAUSES.format(labels, 100.0 * lacking, 100.0 * without)
             log(sentence)
             return result, _instead(evaluated, after, _CONTRADICTED), sentence
-    if not _is_worse(evaluated.after, reference, test):
+    if not _simulates_worse(evaluated.after, reference, test):
         return result, evaluated, ""
     sentence = _PLAIN_DELIVERED.format(
         error_ratio(evaluated.after, reference), ", ".join(plain.terms) or "none"
@@ -212,7 +222,7 @@ def confirmed(plain: PlainFit, evaluated: Evaluated) -> tuple[PlainFit, ModelEva
             best, reference = simpler, found
     for extended in plain.extended:
         found = _plain_errors(extended, evaluated)
-        if _is_worse(reference, found, evaluated.test):
+        if _simulates_worse(reference, found, evaluated.test):
             best, reference = extended, found
     return best, reference
 
@@ -242,9 +252,31 @@ def _plain_errors(plain: PlainFit, evaluated: Evaluated) -> ModelEvaluation:
     return evaluated.test.errors(plain.machine.replace(name=name), evaluated.outcome.data)
 
 
-def _is_worse(model: ModelEvaluation, reference: ModelEvaluation, test: HeldOutTest) -> bool:
+def _is_worse(model: ModelEvaluation, reference: ModelEvaluation, test: HeldOutTest, fitted: Dataset) -> bool:
     """Return whether a machine predicts the held-out runs worse than a reference."""
+    return _simulates_worse(model, reference, test) and not _predicts_better(model, reference, test, fitted)
+
+
+def _simulates_worse(model: ModelEvaluation, reference: ModelEvaluation, test: HeldOutTest) -> bool:
+    """Return whether a machine simulates the held-out runs worse than a reference."""
     return is_worse_than(error_ratio(model, reference), model.held_out.noise_ratio, test.criteria)
+
+
+def _predicts_better(
+    model: ModelEvaluation, reference: ModelEvaluation, test: HeldOutTest, fitted: Dataset
+) -> bool:
+    """Return whether a machine's predictions prevail over the simulations, in which a reference has smaller errors.
+
+    Where voltages between the rows are unknown, what they do to predictions is not known well enough for this.
+    """
+    if not model.held_out.noise_ratio > test.criteria.max_noise_ratio_explained:
+        return False
+    if test.validation.has_voltage_errors:
+        return False
+    predictions = predictions_by_run(model, test.validation, fitted)
+    return predictions_prevail(
+        predictions, lambda: predictions_by_run(reference, test.validation, fitted), test.criteria
+    )
 
 
 def _instead(evaluated: Evaluated, fitted: Fit, reason: str) -> Evaluated:

@@ -17,6 +17,7 @@ from hframe_gym.identification.evidence.tried_effects import SelectedEffect
 from hframe_gym.identification.fit.channel_errors import ChannelError
 from hframe_gym.identification.fit.estimation import Fit
 from hframe_gym.identification.fit.plain_fit import PlainFit
+from hframe_gym.identification.judge.verdict import PredictionsByRun
 from hframe_gym.identification.predict.prediction import SIMULATION
 from hframe_gym.identification.search.outcome import SearchOutcome, without_names
 from hframe_gym.identification.validate import simpler_machines
@@ -42,6 +43,11 @@ class HeldOutRuns:
     machine: Machine
     errors_of: dict[tuple[str, ...], float]
     criteria: SelectionCriteria = dataclasses.field(default_factory=SelectionCriteria)
+    voltages_known: bool = False
+
+    @property
+    def validation(self) -> Any:
+        return SimpleNamespace(has_voltage_errors=not self.voltages_known)
 
     @property
     def session(self) -> Any:
@@ -164,3 +170,63 @@ def test_a_description_begins_with_the_terms_that_the_held_out_runs_clearly_conf
     assert [e.label for e in delivered.evaluated.after.machine.effects] == described
     assert begun == starts
     assert delivered.evaluated.selected == ()
+
+
+def delivered_beside(
+    simpler: str, with_spring: float, monkeypatch: pytest.MonkeyPatch, *, voltages_known: bool = True
+) -> Any:
+    """Deliver a machine with a spring whose simulation errs more than that of a simpler machine.
+
+    Args:
+        simpler: "plain" or "declared".
+        with_spring: Chi-squared of the predictions of the machine with the spring.
+    """
+    declared = AXIS.replace(effects=())
+    plain_machine = declared.with_effects(FORCE)
+    best = 1000.0
+    errors_of = {
+        (): best,
+        (SPRING_LABEL,): 1.1 * best,
+        (FORCE_LABEL,): best if simpler == "plain" else 5.0 * best,
+    }
+    runs = HeldOutRuns(declared, errors_of, voltages_known=voltages_known)
+    after = fit_of(declared.with_effects(SPRING))
+    selected = (SelectedEffect(SPRING, 1.0, declared),)
+    found = SearchOutcome(fit_of(declared), False, False, "effect_found", after, selected, (), DATA)
+
+    def predictions(model: ModelEvaluation, *_: object) -> PredictionsByRun:
+        chi2 = np.array([[with_spring if model.machine.effects == (SPRING,) else 5e4]])
+        return PredictionsByRun(chi2, chi2)
+
+    monkeypatch.setattr(simpler_machines, "predictions_by_run", predictions)
+    monkeypatch.setattr(simpler_machines, "refined_equally", lambda fitted, data: fitted)
+    monkeypatch.setattr(simpler_machines, "with_certain_effects", lambda outcome, criteria, log: outcome)
+    monkeypatch.setattr(simpler_machines, "prediction_cost", lambda machine, data, bandwidth: 1.0)
+    monkeypatch.setattr(simpler_machines, "_declared", lambda evaluated: fit_of(declared))
+    monkeypatch.setattr(simpler_machines, "_runs_to_report", lambda test, fitted: 0.0)
+    return no_worse(
+        Judged(runs.evaluate(found)),
+        PlainFit(plain_machine, (fit_of(plain_machine),)),
+        lambda line: None,
+        Budget(),
+    )
+
+
+@pytest.mark.parametrize("simpler", ["plain", "declared"])
+def test_a_machine_whose_predictions_leave_only_noise_is_delivered_although_its_simulation_errs_more(
+    simpler: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    delivered = delivered_beside(simpler, 1.06, monkeypatch)
+    assert [s.effect for s in delivered.evaluated.selected] == [SPRING]
+    assert (delivered.evaluated.reason, delivered.remarks) == ("", ())
+
+
+@pytest.mark.parametrize("simpler", ["plain", "declared"])
+@pytest.mark.parametrize(("with_spring", "voltages_known"), [(1.6, True), (1.06, False)])
+def test_simulations_decide_where_predictions_leave_a_doubt(
+    simpler: str, with_spring: float, voltages_known: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    delivered = delivered_beside(simpler, with_spring, monkeypatch, voltages_known=voltages_known)
+    assert delivered.evaluated.selected == ()
+    assert "the machine that is delivered is the" in delivered.evaluated.reason.lower()
+    assert not delivered.evaluated.reason.endswith(".")
