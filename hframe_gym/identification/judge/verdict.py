@@ -374,7 +374,7 @@ class PredictionsByRun:
 
     @property
     def worst(self) -> tuple[float, float]:
-        """Largest chi-squared of both observers; infinite if a prediction diverges or nothing is measured."""
+        """Largest chi-squared of both observers, dimensionless; infinite: a prediction diverges, or no measurement."""
         judging, slow = (
             float(np.max(c[~np.isnan(c)], initial=0.0)) or math.inf for c in (self.judging, self.slow)
         )
