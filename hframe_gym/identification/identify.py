@@ -31,8 +31,8 @@ from .judge.criteria import SelectionCriteria
 from .report.assembly import build_result
 from .report.result import IdentificationResult
 from .search.checked_search import find_effects
-from .validate.evaluation import HeldOutTests, judged, with_certain_effects
-from .validate.simpler_machines import no_worse, reserve_time_after_search
+from .validate.evaluation import HeldOutTests, judged, unstable_motion, with_certain_effects
+from .validate.simpler_machines import Delivered, no_worse, reserve_time_after_search
 
 _SILENT = (
     "Not used: nothing moves in {0}, although {1} starts to move with no more. Its sensor was not read, its drive was "
@@ -110,9 +110,13 @@ def identify(
     # file is delivered.
     certain = with_certain_effects(found.outcome, criteria, log)
     judgment = judged(tests.of(found.held_out).evaluate(certain), found.differing, log)
-    delivered = no_worse(judgment, found.plain, log, budget)
+    if unstable := unstable_motion(judgment.evaluated, found.differing):
+        log(unstable)
+        delivered = Delivered(judgment.evaluated, None, ())
+    else:
+        delivered = no_worse(judgment, found.plain, log, budget)
     outcome = delivered.evaluated.outcome
-    remarks = (*found.remarks, *delivered.remarks)
+    remarks = (*found.remarks, *([unstable] if unstable else []), *delivered.remarks)
     differences = RunDifferencesInWords()
     puzzling = bool(remarks) or outcome.verdict == "unexplained"
     if puzzling and budget.has_time(COMPARISON_PART):

@@ -152,10 +152,22 @@ class PreparedRecording:
         Args:
             count: Number of rows to keep.
         """
+        return self._rows(slice(count))
+
+    def last_rows(self, count: int) -> PreparedRecording:
+        """Return the end of the run; its initial state remains that of the complete run.
+
+        Args:
+            count: Number of rows to keep, at least 1.
+        """
+        return self._rows(slice(len(self.time_s) - count, None))
+
+    def _rows(self, chosen: slice) -> PreparedRecording:
+        """Return some rows of the run."""
         series = ("time_s", "inputs", "outputs", "noise", "weights", "dropped")
-        clock = None if self.clock_voltages is None else self.clock_voltages.rows(slice(count))
+        clock = None if self.clock_voltages is None else self.clock_voltages.rows(chosen)
         return dataclasses.replace(
-            self, clock_voltages=clock, **{name: getattr(self, name)[:count] for name in series}
+            self, clock_voltages=clock, **{name: getattr(self, name)[chosen] for name in series}
         )
 
     def without_clock_answers(self) -> Array:

@@ -72,8 +72,8 @@ def reason_of_remainder(report: Report) -> str:
 
     Returns:
         What a formula that is recommended in place of a table leaves, if that is clearly less; what a table does not
-        describe, for another machine with a table; that voltages which the log lacks may be the cause; or that it is
-        not known.
+        describe, for another machine with a table; that voltages which the log lacks may be the cause; that it comes
+        from an unstable motion; or that it is not known.
     """
     tables = any(effect.name.partition("[")[0] in HOOK_OF_KIND for effect in report.effects)
     formulas = {
@@ -90,6 +90,9 @@ def reason_of_remainder(report: Report) -> str:
     if report.unknown_voltages:
         commands = report.unknown_voltages.commands
         return f", of which the unknown {commands} between the rows may cause a part or all"
+    # With known voltages, the verdict permits so much only where simulations say nothing.
+    if report.verdict == "no_effect" and (report.left or 0.0) > SelectionCriteria().max_noise_ratio_explained:
+        return ", because the motion is unstable (see the notes)"
     return ", whose cause was not found"
 
 

@@ -31,6 +31,7 @@ from ..judge.verdict import (
     VerdictEvidence,
     contradiction_of_names,
     contradiction_of_no_effect,
+    is_unstable,
     remaining,
 )
 from ..predict.prediction import POLISH_STEP, SEARCH_BANDWIDTH, innovation_variance
@@ -41,6 +42,15 @@ from ..propose.trial_fits import without_effect
 from ..search.input_timing import is_timing
 from ..search.outcome import SearchOutcome, with_removed, without_names
 from .machine_errors import ModelEvaluation, PredictionErrors, evaluate_held_out, with_encoder_zeros
+from .unstable_motion import enlargement
+
+_UNSTABLE = (
+    "The motion of the held-out runs is unstable, as that of a pendulum above its axis: in a simulation, an error of "
+    "the size of the noise grows by a factor of {:.3g}. Simulations of complete runs therefore say nothing here: an "
+    "exact machine has such errors as well, and that of one machine is smaller than that of another by chance. The "
+    "verdict is judged by predictions that the measurements correct; their squared error is {:.3g} times that of an "
+    "exact machine. The refitted machine is delivered, without a comparison of simulations."
+)
 
 
 def with_certain_effects(outcome: SearchOutcome, criteria: SelectionCriteria, log: Log) -> SearchOutcome:
@@ -106,6 +116,9 @@ class HeldOutTest:
     held_out: Dataset
     criteria: SelectionCriteria
     _known: list[_KnownErrors] = field(default_factory=list, init=False, repr=False)
+    _enlargements: list[tuple[Machine, tuple[str, ...], float]] = field(
+        default_factory=list, init=False, repr=False
+    )
 
     @cached_property
     def validation(self) -> Dataset:
@@ -141,6 +154,20 @@ class HeldOutTest:
         Delays and other effects make an evaluation slower, and the delivered machine may have them.
         """
         return max((known.seconds for known in self._known), default=0.0)
+
+    def enlargement(self, machine: Machine, names: Sequence[str]) -> float:
+        """Return how many times simulations of some runs enlarge an error (`unstable_motion.enlargement`).
+
+        Args:
+            machine: Machine with the zeros of its encoders.
+            names: Names of the runs.
+        """
+        for known, runs, found in self._enlargements:
+            if runs == tuple(names) and known == machine:
+                return found
+        found = enlargement(machine, self.validation.with_runs(names), JUDGING_BANDWIDTH)
+        self._enlargements.append((machine, tuple(names), found))
+        return found
 
     def evaluate(self, outcome: SearchOutcome) -> Evaluated:
         """Simulate the declared, the refitted and the corrected machine over the held-out runs.
@@ -269,7 +296,34 @@ def _contradiction(evaluated: Evaluated, differing: Sequence[str]) -> str:
                 evidence = _with_fast_error(evidence, evaluated, differing)
             reason = contradiction_of_names(evidence, outcome.explained, criteria)
         return reason
-    return contradiction_of_no_effect(evidence, criteria)
+    reason = contradiction_of_no_effect(evidence, criteria)
+    if reason and not evidence.left <= criteria.max_noise_ratio_explained and evidence.voltages_known:
+        reason = contradiction_of_no_effect(_with_enlargement(evidence, evaluated, differing), criteria)
+    return reason
+
+
+def unstable_motion(evaluated: Evaluated, differing: Sequence[str]) -> str:
+    """Say that the motion of the held-out runs is unstable, and what the errors of simulations mean there.
+
+    Args:
+        evaluated: Outcome of a search with its machines, as the held-out runs judge it.
+        differing: Names of held-out runs that contradict the fitted ones.
+
+    Returns:
+        Sentences; "" if simulations err no more than noise explains or more than the instability does, if effects are
+        named, or if the motion is stable.
+    """
+    criteria, validation = evaluated.test.criteria, evaluated.test.validation
+    if evaluated.outcome.selected or validation.has_voltage_errors:
+        return ""
+    left, allowed = evaluated.after.held_out.noise_ratio, criteria.max_noise_ratio_explained
+    if left <= allowed:
+        return ""
+    runs = _agreeing(evaluated, differing)
+    enlarged = evaluated.test.enlargement(evaluated.after.machine, [run.name for run in runs])
+    if not is_unstable(enlarged, criteria) or left > allowed * enlarged:
+        return ""
+    return _UNSTABLE.format(enlarged, _predicted_like_exact(evaluated, _quiet(evaluated, runs)))
 
 
 def _with_ranges(evaluated: Evaluated) -> Evaluated:
@@ -315,17 +369,37 @@ def _evidence(evaluated: Evaluated, differing: Sequence[str]) -> VerdictEvidence
         lacking=finite(after.lacking),
         remaining_prediction=_remaining_prediction(evaluated, quiet, JUDGING_BANDWIDTH),
         voltages_known=not validation.has_voltage_errors,
-        predicted=1.0 if names or not validation.has_voltage_errors else _predicted(evaluated, quiet),
+        predicted=1.0
+        if names or not validation.has_voltage_errors
+        else _predicted(evaluated, quiet, JUDGING_BANDWIDTH, SEARCH_BANDWIDTH),
     )
 
 
-def _predicted(evaluated: Evaluated, validation: Dataset) -> float:
-    """Return chi-squared per sample of the predictions: the larger one of two observers."""
+def _with_enlargement(
+    evidence: VerdictEvidence, evaluated: Evaluated, differing: Sequence[str]
+) -> VerdictEvidence:
+    """Return the evidence with what simulations make of small errors, and the error of predictions if that is much."""
+    runs = _agreeing(evaluated, differing)
+    enlarged = evaluated.test.enlargement(evaluated.after.machine, [run.name for run in runs])
+    if not is_unstable(enlarged, evaluated.test.criteria):
+        return evidence
+    predicted = _predicted_like_exact(evaluated, _quiet(evaluated, runs))
+    return dataclasses.replace(evidence, enlarged=enlarged, predicted=predicted)
+
+
+def _predicted(evaluated: Evaluated, validation: Dataset, *bandwidths: float) -> float:
+    """Return chi-squared per sample of the predictions, the largest one of some observers."""
     return max(
         prediction_cost(evaluated.after.machine, validation, bandwidth, longest_step=POLISH_STEP)
         / validation.count
-        for bandwidth in (JUDGING_BANDWIDTH, SEARCH_BANDWIDTH)
+        for bandwidth in bandwidths
     )
+
+
+def _predicted_like_exact(evaluated: Evaluated, validation: Dataset) -> float:
+    """Return the squared error of predictions with the observer that judges / that of an exact machine."""
+    exact = innovation_variance(evaluated.after.machine, validation, JUDGING_BANDWIDTH)[0]
+    return _predicted(evaluated, validation, JUDGING_BANDWIDTH) / exact
 
 
 def _agreeing(evaluated: Evaluated, differing: Sequence[str]) -> list[PreparedRecording]:

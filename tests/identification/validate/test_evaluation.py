@@ -62,6 +62,25 @@ def test_unknown_voltages_of_a_slow_log_may_explain_its_error(
 
 
 @pytest.mark.parametrize(
+    ("left", "enlarged", "predicted", "contradiction"),
+    [
+        (111.0, 2.3e4, 0.97, ""),  # an exact pendulum, swung above its axis
+        (111.0, 2.3e4, 1.22, "predictions is 1.22 times that of an exact machine"),  # an effect is missing
+        (111.0, 50.0, 0.97, "111 times the noise"),  # more than the instability explains
+        (2.1, 1.9, 1.0, "2.1 times the noise"),  # a machine that is stable
+        (math.inf, 2.3e4, 1.0, "diverges"),
+    ],
+)
+def test_predictions_judge_where_simulations_enlarge_small_errors(
+    left: float, enlarged: float, predicted: float, contradiction: str
+) -> None:
+    evidence = dataclasses.replace(EXACT, left=left, motion=0.3, enlarged=enlarged, predicted=predicted)
+    reason = contradiction_of_no_effect(evidence, CRITERIA)
+    assert contradiction in reason
+    assert bool(contradiction) == bool(reason)
+
+
+@pytest.mark.parametrize(
     ("motion", "left", "hidden"),
     [
         (0.09, 1.99, None),
