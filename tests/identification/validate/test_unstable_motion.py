@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
 from hframe_gym.dynamics import simulate
-from hframe_gym.identification import prepare
+from hframe_gym.identification import SelectionCriteria, prepare
+from hframe_gym.identification.report.remainder import reason_of_remainder
+from hframe_gym.identification.validate import evaluation
 from hframe_gym.identification.validate.unstable_motion import enlargement
 from hframe_gym.machine import BUILTIN_MACHINES
 from hframe_gym.recordings import Recording
@@ -30,3 +35,35 @@ def test_a_pendulum_near_its_top_enlarges_an_error(angle: float, low: float, hig
 
 def test_an_axis_enlarges_no_error() -> None:
     assert enlargement(AXIS, prepare(limited_runs([4.0]), AXIS), 15.0) == pytest.approx(1.0, abs=0.2)
+
+
+@pytest.mark.parametrize(
+    ("left", "enlarged", "said"),
+    [(31.7, 161.0, True), (31.7, 1.0, False), (1.9, 161.0, False), (500.0, 161.0, False)],
+)
+def test_a_note_says_that_simulations_say_nothing(
+    left: float, enlarged: float, said: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    runs: Any = (SimpleNamespace(name="run"),)
+    test = SimpleNamespace(
+        criteria=SelectionCriteria(),
+        validation=SimpleNamespace(has_voltage_errors=False, runs=runs),
+        enlargement=lambda machine, names: enlarged,
+    )
+    after = SimpleNamespace(held_out=SimpleNamespace(noise_ratio=left), machine=AXIS)
+    evaluated: Any = SimpleNamespace(outcome=SimpleNamespace(selected=()), test=test, after=after)
+    monkeypatch.setattr(evaluation, "_quiet", lambda evaluated, runs: None)
+    monkeypatch.setattr(evaluation, "_predicted_like_exact", lambda evaluated, data: 0.97)
+    sentence = evaluation.unstable_motion(evaluated, ())
+    assert bool(sentence) == said
+    assert ("grows by a factor of 161" in sentence) == said
+
+
+@pytest.mark.parametrize(
+    ("verdict", "clause"), [("no_effect", "motion is unstable"), ("unexplained", "not found")]
+)
+def test_the_report_says_why_so_much_is_left(verdict: str, clause: str) -> None:
+    report: Any = SimpleNamespace(
+        verdict=verdict, left=31.7, effects=(), proposed_formulas=(), unknown_voltages=None
+    )
+    assert clause in reason_of_remainder(report)
