@@ -120,7 +120,7 @@ def is_unstable(enlarged: float, criteria: SelectionCriteria) -> bool:
     """Return whether the motion is unstable: an error as small as the noise leaves more than noise in a simulation.
 
     Args:
-        enlarged: How many times a simulation enlarges an error of the size of the noise.
+        enlarged: How many times a simulation enlarges an error of the size of the noise, dimensionless.
         criteria: Decision threshold `max_noise_ratio_explained`.
     """
     return enlarged > criteria.max_noise_ratio_explained

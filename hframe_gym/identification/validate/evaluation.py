@@ -156,11 +156,14 @@ class HeldOutTest:
         return max((known.seconds for known in self._known), default=0.0)
 
     def enlargement(self, machine: Machine, names: Sequence[str]) -> float:
-        """Return how many times simulations of some runs enlarge an error (`unstable_motion.enlargement`).
+        """Return how many times simulations of some runs enlarge an error, dimensionless.
 
         Args:
             machine: Machine with the zeros of its encoders.
             names: Names of the runs.
+
+        Returns:
+            See `unstable_motion.enlargement`, dimensionless.
         """
         for known, runs, found in self._enlargements:
             if runs == tuple(names) and known == machine:
