@@ -103,7 +103,12 @@ def test_an_equally_good_lag_is_its_rival(script: Script) -> None:
     [
         (9.01, "input_delay@drives", ("electrical_lag@motor",)),
         (9.5, "input_delay@drives", ()),
-        (8.5, "electrical_lag@motor", ()),
+        (7.9, "electrical_lag@motor", ()),
+        (
+            8.5,
+            "electrical_lag@motor",
+            ("input_delay@drives",),
+        ),  # it removes two thirds as much, and most is left
     ],
 )
 def test_complete_fits_decide_between_a_delay_and_a_lag(
