@@ -313,18 +313,18 @@ def unstable_motion(evaluated: Evaluated, differing: Sequence[str]) -> str:
         differing: Names of held-out runs that contradict the fitted ones.
 
     Returns:
-        Sentences; "" if simulations err no more than noise explains or more than the instability does, if effects are
-        named, or if the motion is stable.
+        Sentences; "" if simulations err no more than noise explains, if the verdict is not that nothing is missing, or
+        if the motion is stable.
     """
     criteria, validation = evaluated.test.criteria, evaluated.test.validation
-    if evaluated.outcome.selected or validation.has_voltage_errors:
+    if evaluated.outcome.verdict != "no_effect" or validation.has_voltage_errors:
         return ""
     left, allowed = evaluated.after.held_out.noise_ratio, criteria.max_noise_ratio_explained
     if left <= allowed:
         return ""
     runs = _agreeing(evaluated, differing)
     enlarged = evaluated.test.enlargement(evaluated.after.machine, [run.name for run in runs])
-    if not is_unstable(enlarged, criteria) or left > allowed * enlarged:
+    if not is_unstable(enlarged, criteria):
         return ""
     return _UNSTABLE.format(enlarged, _predicted_like_exact(evaluated, _quiet(evaluated, runs)))
 

@@ -38,11 +38,16 @@ def test_an_axis_enlarges_no_error() -> None:
 
 
 @pytest.mark.parametrize(
-    ("left", "enlarged", "said"),
-    [(31.7, 161.0, True), (31.7, 1.0, False), (1.9, 161.0, False), (500.0, 161.0, False)],
+    ("verdict", "left", "enlarged", "said"),
+    [
+        ("no_effect", 31.7, 161.0, True),
+        ("no_effect", 31.7, 1.0, False),
+        ("no_effect", 1.9, 161.0, False),
+        ("unexplained", 31.7, 161.0, False),  # the plain fit may be better
+    ],
 )
 def test_a_note_says_that_simulations_say_nothing(
-    left: float, enlarged: float, said: bool, monkeypatch: pytest.MonkeyPatch
+    verdict: str, left: float, enlarged: float, said: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     runs: Any = (SimpleNamespace(name="run"),)
     test = SimpleNamespace(
@@ -51,7 +56,7 @@ def test_a_note_says_that_simulations_say_nothing(
         enlargement=lambda machine, names: enlarged,
     )
     after = SimpleNamespace(held_out=SimpleNamespace(noise_ratio=left), machine=AXIS)
-    evaluated: Any = SimpleNamespace(outcome=SimpleNamespace(selected=()), test=test, after=after)
+    evaluated: Any = SimpleNamespace(outcome=SimpleNamespace(verdict=verdict), test=test, after=after)
     monkeypatch.setattr(evaluation, "_quiet", lambda evaluated, runs: None)
     monkeypatch.setattr(evaluation, "_predicted_like_exact", lambda evaluated, data: 0.97)
     sentence = evaluation.unstable_motion(evaluated, ())
