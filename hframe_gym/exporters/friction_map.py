@@ -120,7 +120,8 @@ def _against(
     """Return Coulomb friction, viscous friction and other forces against the motion of coordinate i, N or Nm."""
     # Without the loops of drives that follow a set point, which damp the motion, too.
     open_loop = [dataclasses.replace(d, kind="torque", law_parameters={}) for d in machine.drives if d.law]
-    equations = Equations(machine.with_components(*open_loop))
+    acting = tuple(e for e in machine.effects if not e.definition.set_point)
+    equations = Equations(dataclasses.replace(machine, effects=acting).with_components(*open_loop))
     count, radius = len(machine.coordinates), equations.radius(i)
     rest = rest_state(machine)[:count] * machine.travel_per_unit
     travel, rate = [np.full(len(speed), r) for r in rest], [np.zeros(len(speed)) for _ in range(count)]

@@ -35,6 +35,7 @@ HOOKS: Mapping[str, tuple[str, ...]] = {
     "viscous": ("b", "direction"),
     "voltage": ("V",),
     "delay": (),
+    "set_point": ("V", "q"),
     "current": ("i", "z", "V", "q", "v", "dq", "dv", "N", "R"),
     "torque": ("i", "q"),
     "tension": ("s", "rate", "k", "per_radius"),
@@ -142,6 +143,7 @@ class Effect:
     viscous             viscous coefficient of the coordinate, Ns/m or Nms           b, direction
     voltage             voltage that reaches the drive, V                            V
     delay               delay of the drive's voltage, s
+    set_point           command as the law of the drive sees it, in its unit         V, q
     current             current of the drive, A (the mean over a step)               i, z, V, q, v, dq, dv, N, R
     torque              current that makes torque without the effect, A              i, q
     tension             tension of a belt, N                                         s, rate, k, per_radius
@@ -238,6 +240,7 @@ class Effect:
     viscous: Hook | None = None
     voltage: Hook | None = None
     delay: Hook | None = None
+    set_point: Hook | None = None
     current: Hook | None = None
     torque: Hook | None = None
     tension: Hook | None = None

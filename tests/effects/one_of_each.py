@@ -265,3 +265,5 @@ _CASES = (
     Case("sensor_delay", "x_m", {"d": 2.3e-3}, sensors={"delay_s": (0.0, 0.0, 2.3e-3, 0.0)}),
 )
 CASES = {case.name: case for case in _CASES}
+# Effects that the H-frame cannot have, by name: a preset that can, and the case; each has tests of its own.
+ELSEWHERE = {"servo_dead_band": ("servo", Case("servo_dead_band", "servo", {"s": 1.0, "d": 0.02}))}

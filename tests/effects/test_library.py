@@ -26,7 +26,7 @@ from hframe_gym.machine import (
     argument_names,
     carried_through_contacts,
 )
-from tests.effects.one_of_each import CASES, Case, history
+from tests.effects.one_of_each import CASES, ELSEWHERE, Case, history
 
 EVERY_EFFECT = pytest.mark.parametrize("effect", EFFECTS.values(), ids=EFFECTS)
 WITH_AMPLITUDE = {name: case for name, case in CASES.items() if EFFECTS[name].amplitudes}
@@ -39,7 +39,8 @@ def test_definition_is_complete(effect: Effect, hframe: Machine) -> None:
     assert effect.structure or any(getattr(effect, name) for name in HOOKS)
     assert effect.formula
     assert effect.source
-    assert effect_sites(effect, hframe)
+    elsewhere = ELSEWHERE.get(effect.name)
+    assert effect_sites(effect, BUILTIN_MACHINES[elsewhere[0]]() if elsewhere else hframe)
     roles = [p.role for p in effect.parameters]
     # The screening evaluates sine and cosine of one amplitude.
     assert roles.count("amplitude") <= 1
@@ -119,7 +120,7 @@ def test_quantities_of_the_hooks_are_described() -> None:
 @EVERY_EFFECT
 def test_wrong_parameters_are_refused(effect: Effect) -> None:
     """Names must be complete and values within bounds."""
-    case = CASES[effect.name]
+    case = CASES[effect.name] if effect.name in CASES else ELSEWHERE[effect.name][1]
     with pytest.raises(ValueError, match=f"effect {effect.name} at {case.site} takes"):
         effect.at(case.site, nonsense=1.0)
     first = effect.parameters[0]

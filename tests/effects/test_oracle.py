@@ -9,7 +9,7 @@ from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
 from hframe_gym.machine import Machine, rest_state
 from tests import reference_simulator as reference
-from tests.effects.one_of_each import CASES, START, Case, history
+from tests.effects.one_of_each import CASES, ELSEWHERE, START, Case, history
 
 TRAVEL = np.array([0.0194, 0.0194, 1.0, 1.0])  # m per rad of an encoder, m per m of a laser
 pytestmark = pytest.mark.oracle
@@ -33,7 +33,7 @@ def difference(machine: Machine, time_s: np.ndarray, inputs: np.ndarray, expecte
 
 def test_every_effect_has_a_case() -> None:
     """A new effect of the library needs a case in one_of_each.py."""
-    assert set(CASES) == set(EFFECTS)
+    assert {*CASES, *ELSEWHERE} == set(EFFECTS)
 
 
 @pytest.mark.parametrize("seed", [3, 11])

@@ -6,6 +6,7 @@ speed closest to zero, so that the axis sticks and slides without events. The er
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -28,6 +29,7 @@ class Servo:
         reset_time: Integral time of the PI controller, s.
         largest_torque: Of the motor, Nm.
         gear: Turns of the motor per turn of the axis.
+        dead_band: Half the width of the range in which errors of the position hardly count, rad.
     """
 
     position_gain: float = 0.0
@@ -36,12 +38,16 @@ class Servo:
     reset_time: float = float("inf")
     largest_torque: float = float("inf")
     gear: float = 1.0
+    dead_band: float = 0.0
 
     def torque(self, command: float, q: float, v: float, integral: float) -> tuple[float, float]:
         """Return the torque of the motor, Nm, and the rate of the integral, rad/s."""
         target = command
         if self.position_gain:
-            target = max(-self.largest_speed, min(self.largest_speed, self.position_gain * (command - q)))
+            missing = command - q
+            if self.dead_band:
+                missing -= self.dead_band * math.tanh(missing / self.dead_band)
+            target = max(-self.largest_speed, min(self.largest_speed, self.position_gain * missing))
         error = target - v
         wanted = self.gear * self.speed_gain * (error + integral / self.reset_time)
         given = max(-self.largest_torque, min(self.largest_torque, wanted))

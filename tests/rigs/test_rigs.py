@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from hframe_gym.effects import EFFECTS, effect_sites
+from tests.effects.one_of_each import ELSEWHERE
 from tests.reference_simulator import Rig
 from tests.reference_simulator.sensors import ENCODER_STEP_RAD, LASER_NOISE_M, Sensors, noisy
 from tests.rigs.cases import Case, cases, select_cases
@@ -56,8 +57,8 @@ def test_the_table_covers_the_library_at_three_sizes(hframe):
     single = [c for c in cases().values() if c.kind == "library" and len(c.hidden_effects) == 1]
     hidden = {(case.hidden_effects[0].label, case.size) for case in single}
     for library in EFFECTS.values():
-        # It has no size; only in a pair with cogging; it is one of the log, hidden by `outside_rigs`.
-        if library.name in ("idler_inertia", "second_cogging", "clock_drift"):
+        # It has no size; only in a pair with cogging; of the log, hidden by `outside_rigs`; not of an H-frame.
+        if library.name in ("idler_inertia", "second_cogging", "clock_drift", *ELSEWHERE):
             continue
         labels = {f"{library.name}@{site}" for site in effect_sites(library, hframe)}
         for size in ("full", "20%", "5%"):

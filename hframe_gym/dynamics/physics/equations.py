@@ -125,11 +125,15 @@ class Equations(SignalEquations):
         current: Value,
         arguments: dict[int, dict[str, Value]],
     ) -> Value:
-        """Apply the law of drive j and the effects on its current (limit, lag, ...) to the current by Ohm's law, A."""
+        """Apply effects on its set point and current, and the law, of drive j to the current by Ohm's law, A."""
+        command = motor_voltages[j]
+        for k, e in self.effects_at("set_point", self.machine.drives[j].name):
+            quantities = {"V": command, "q": self.position(point, self.drive_coordinates[j])}
+            command = named("set_point", k, self.evaluate(e, "set_point", quantities))
         for k, e in self.effects_at("current", self.machine.drives[j].name):
             hooks = (e.definition.next_state, e.definition.current)
             of_state, of_current = (argument_names(hook) if hook else () for hook in hooks)
-            given = {"i": current, "V": motor_voltages[j]}
+            given = {"i": current, "V": command}
             if "power" in of_state:
                 given |= self._drawn_power(e, point, motor_voltages)
             # `effect_state` and `next_state` know the speed and the changes in their time.
