@@ -25,7 +25,7 @@ from ...preparation.initial_state import model_initial_states
 from ...preparation.rest_measurement import InitialState
 from .prediction import SEARCH_STEP, predict, residuals, whitened
 
-_UNMEASURED_POSITION = 2e-4  # m; error of a position that follows from later measurements
+_UNMEASURED_POSITION = 2e-4  # m; standard deviation of a start that is estimated from later measurements
 
 
 class UncertainStart(NamedTuple):
@@ -239,18 +239,18 @@ class InitialStateProjection:
         return np.subtract(residual, projected_rows, out=projected_rows)
 
     def costs(self, residual: Array) -> Array:
-        """Return the sums of squares of projected residuals, shape (batch,), without computing these.
+        """Return the sum of squares of each projected residual, shape (batch,), without the projected residuals.
 
         Args:
             residual: Residuals of a batch of predictions, in units of the noise, shape (batch, rows).
         """
         along = residual @ self.directions
-        removed = self.weights * (2.0 - self.weights)  # of the square along each direction
+        removed = self.weights * (2.0 - self.weights)  # 1 - (1 - weights)^2, the fraction of each square along^2
         return np.asarray(np.einsum("bi,bi->b", residual, residual) - along**2 @ removed)
 
 
 def probable_amounts(residual: Array, displaced: Array) -> Array:
-    """Return how far along each displacement of its start a run most probably began, as a fit assumes.
+    """Return by how much of each displacement the start of a run most probably differs from the measured one.
 
     Args:
         residual: Residual of the prediction from the state as it is, in units of the noise, shape (rows,).
@@ -337,8 +337,8 @@ def predict_with_displaced_starts(
 def _displaced_zeros(machine: Machine, run: PreparedRecording, initial_states: Array) -> Array | None:
     """Return the changes of the encoders' zeros that displaced initial states imply, shape (batch, sensors).
 
-    An encoder without a known zero counts from the state at the start. If that state is displaced, all of its
-    measurements are, which an observer feeds back throughout the run. None if there is no such encoder.
+    An encoder without a known zero counts from the state at the start. If that state is displaced, all measurements of
+    the encoder are shifted as well, and an observer must know it. None if there is no such encoder.
     """
     unknown = np.array([sensor.incremental for sensor in machine.sensors]) & ~run.initial.resolves_stretch
     positions = initial_states[:, : len(machine.coordinates)]
