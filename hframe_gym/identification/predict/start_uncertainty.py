@@ -245,7 +245,7 @@ class InitialStateProjection:
             residual: Residuals of a batch of predictions, in units of the noise, shape (batch, rows).
         """
         along = residual @ self.directions
-        removed = self.weights * (2.0 - self.weights)  # 1 - (1 - weights)^2, the fraction of each square along^2
+        removed = self.weights * (2.0 - self.weights)  # 1 - (1 - weights)^2, of each square of along
         return np.asarray(np.einsum("bi,bi->b", residual, residual) - along**2 @ removed)
 
 
