@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NamedTuple
 
+from ...arrays import Array
 from ...machine import Machine
 from ...preparation.dataset import Dataset, with_known_positions
 from ...preparation.excerpt import LARGEST_FIT, NORMAL_SESSION, describe_part, representative_part
@@ -164,6 +165,28 @@ def _with_input_timing(
         return outcome._replace(unfinished=outcome.unfinished or "searching for a delay or lag of the drives")
 
 
+class _Runs(NamedTuple):
+    """The runs of a search, with the machine refitted to them.
+
+    Attributes:
+        fitted: Runs to fit, or a representative part of their rows, with lost voltages estimated.
+        held_out: Runs that are held out, with lost voltages estimated.
+        all_rows: All rows of the runs to fit, as far as they are not too many, if `fitted` has a part of them.
+        refitted: Machine refitted to `fitted` at `SEARCH_BANDWIDTH`.
+        voltages: Voltages as logged, of each run to fit by its name.
+        left_out: Name of the run that alone differs from the others and is not fitted, if there is one.
+        messages: What the user should know about runs that are not used, one sentence each.
+    """
+
+    fitted: Dataset
+    held_out: Dataset
+    all_rows: Dataset | None
+    refitted: Fit
+    voltages: dict[str, Array]
+    left_out: str | None
+    messages: tuple[str, ...]
+
+
 def _search_and_check(
     machine: Machine,
     all_runs: Dataset,
@@ -173,13 +196,80 @@ def _search_and_check(
     budget: Budget,
     before_search: BeforeSearch,
 ) -> CheckedOutcome:
-    """Search in the runs that are not held out, and find the held-out runs that contradict the result."""
+    """Search in the runs that are not held out, and find the held-out runs that contradict the result.
+
+    A search that finds that the voltages change more or less often between the rows is repeated with this knowledge.
+    """
+    runs = _divided(machine, all_runs, held_names, criteria, log, budget)
+    of_agreeing, agreeing = _agreeing_runs(runs, machine, log)
+    updates, responding, fitted_with_errors = voltage_updates(of_agreeing, agreeing, criteria), machine, False
+    # Numbers of changes a row that were refuted, each with the number of effects known by then.
+    rejected: dict[int, int] = {}
+    selected: tuple[SelectedEffect, ...] = ()  # by a search that assumed other voltages
+    while True:
+        fitted, validation, messages = runs.fitted, runs.held_out, runs.messages
+        if updates.per_row > 1:
+            commands = machine.commands_in_words
+            changes = updates.describe(commands, fitted.period)
+            log(f"{changes}; they are interpolated")
+            fitted, validation = interpolated(
+                responding,
+                updates.per_row,
+                fitted,
+                validation,
+                log,
+                fitted_with_errors=fitted_with_errors,
+                agreeing=[run.name for run in agreeing.runs],
+            )
+            quality = describe_interpolation(runs.refitted.machine, fitted)
+            messages = (*messages, _BETWEEN_ROWS.format(changes, quality, updates.per_row))
+        fitted = dataclasses.replace(fitted, updates_rejected=rejected.copy())
+        # The errors of voltages between all rows of a long log would need too much memory.
+        all_rows = runs.all_rows if updates.per_row == 1 else None
+        # Voltages that are estimated by a machine would make its parameters part of the plain fit.
+        to_fit = fitted.with_inputs(runs.voltages) if all_rows is None else all_rows
+        plain = plain_fit(machine, to_fit, budget)
+        if plain is not None and plain.seconds is not None:
+            messages = (*messages, _PLAIN_ENDED.format(plain.seconds))
+            log(
+                f"  the plain fit ended after {plain.seconds:.0f} s of processor time, its part of the budget"
+            )
+        before_search(plain, fitted, validation)
+        try:
+            found = _search(
+                machine,
+                fitted,
+                validation,
+                all_rows,
+                plain,
+                selected,
+                refitted=runs.refitted,
+                criteria=criteria,
+                log=log,
+                budget=budget,
+            )._replace(messages=messages)
+            return found if runs.left_out is None else found.without_run(runs.left_out)
+        except VoltagesChangeError as change:
+            rejected[updates.per_row] = len(change.machine.effects)
+            fitted_with_errors = updates.per_row > 1
+            updates, responding, selected = change.updates, change.machine, change.selected
+
+
+def _divided(
+    machine: Machine,
+    all_runs: Dataset,
+    held_names: Sequence[str],
+    criteria: SelectionCriteria,
+    log: Log,
+    budget: Budget,
+) -> _Runs:
+    """Return the runs to fit and those held out, without one that alone differs, and the machine refitted to them."""
     fitted_names = [run.name for run in all_runs.runs if run.name not in held_names]
     held_out, excluded = with_known_positions(all_runs.with_runs(held_names))
-    data, unused = with_known_positions(all_runs.with_runs(fitted_names))
+    all_rows, unused = with_known_positions(all_runs.with_runs(fitted_names))
     names = ", ".join(run.name for run in held_out.runs)
-    log(f"fitting {machine.name} to {len(data.runs)} runs, {len(held_out.runs)} held out ({names})")
-    all_rows, data = data, representative_part(data, machine, size=budget.session_part * NORMAL_SESSION)
+    log(f"fitting {machine.name} to {len(all_rows.runs)} runs, {len(held_out.runs)} held out ({names})")
+    data = representative_part(all_rows, machine, size=budget.session_part * NORMAL_SESSION)
     in_part = data is not all_rows
     if in_part:
         log(f"effects are searched for in {describe_part(data, all_rows)}")
@@ -188,64 +278,40 @@ def _search_and_check(
     data, held_out, held = with_lost_voltages(machine, data, held_out, log)
     if held:
         logged, all_rows = held_over_gaps(logged), held_over_gaps(all_rows)
-    voltages = {run.name: run.inputs for run in logged.runs}
     refitted = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
     different = _different_run(refitted, data, held_out, criteria)
     if different is not None:
         log(f"{different} differs from the other runs; searching without it")
-        data, all_rows = (
-            each.with_runs([run.name for run in each.runs if run.name != different])
-            for each in (data, all_rows)
-        )
+        data, all_rows = _without_run(data, different), _without_run(all_rows, different)
         refitted = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
-    agreeing, of_agreeing = data, refitted  # runs that show what voltages do between the rows
-    if can_show_updates(data):
+    return _Runs(
+        data,
+        held_out,
+        all_rows if in_part else None,
+        refitted,
+        voltages={run.name: run.inputs for run in logged.runs},
+        left_out=different,
+        messages=(*unused, *excluded),
+    )
+
+
+def _agreeing_runs(runs: _Runs, machine: Machine, log: Log) -> tuple[Fit, Dataset]:
+    """Return the runs that show what voltages do between the rows, and the machine refitted to them.
+
+    The error of a run that contradicts the others would hide what the voltages cause.
+    """
+    if can_show_updates(runs.fitted):
         log(f"comparing held {machine.commands_in_words} with some that change between the rows")
-        suspect = contradicting_run(refitted, data)
-        if suspect is not None:  # its error would hide what the voltages cause
-            agreeing = data.with_runs([run.name for run in data.runs if run.name != suspect])
-            of_agreeing = fit(machine, default_free_parameters(machine), agreeing, SEARCH_BANDWIDTH)
-    updates, responding, fitted_with_errors = voltage_updates(of_agreeing, agreeing, criteria), machine, False
-    search = partial(_search, machine, refitted=refitted, criteria=criteria, log=log, budget=budget)
-    rejected: dict[
-        int, int
-    ] = {}  # changes of the voltages a row that were refuted, and the effects known by then
-    selected: tuple[SelectedEffect, ...] = ()  # by a search that assumed other voltages
-    while True:
-        fitted, validation, messages = data, held_out, (*unused, *excluded)
-        if updates.per_row > 1:
-            commands = machine.commands_in_words
-            changes = updates.describe(commands, data.period)
-            log(f"{changes}; they are interpolated")
-            fitted, validation = interpolated(
-                responding,
-                updates.per_row,
-                data,
-                held_out,
-                log,
-                fitted_with_errors=fitted_with_errors,
-                agreeing=[run.name for run in agreeing.runs],
-            )
-            quality = describe_interpolation(refitted.machine, fitted)
-            messages = (*messages, _BETWEEN_ROWS.format(changes, quality, updates.per_row))
-        fitted = dataclasses.replace(fitted, updates_rejected=rejected.copy())
-        # The errors of voltages between all rows of a long log would need too much memory.
-        complete = all_rows if in_part and updates.per_row == 1 else None
-        # Voltages that are estimated by a machine would make its parameters part of the plain fit.
-        plain = plain_fit(machine, fitted.with_inputs(voltages) if complete is None else complete, budget)
-        if plain is not None and plain.seconds is not None:
-            messages = (*messages, _PLAIN_ENDED.format(plain.seconds))
-            log(
-                f"  the plain fit ended after {plain.seconds:.0f} s of processor time, its part of the budget"
-            )
-        before_search(plain, fitted, validation)
-        try:
-            found = search(fitted, validation, complete, plain, selected)._replace(messages=messages)
-            return found if different is None else found.without_run(different)
-        except VoltagesChangeError as change:
-            rejected[updates.per_row] = len(change.machine.effects)
-            fitted_with_errors = updates.per_row > 1
-            updates, responding, selected = change.updates, change.machine, change.selected
+        suspect = contradicting_run(runs.refitted, runs.fitted)
+        if suspect is not None:
+            agreeing = _without_run(runs.fitted, suspect)
+            return fit(machine, default_free_parameters(machine), agreeing, SEARCH_BANDWIDTH), agreeing
+    return runs.refitted, runs.fitted
+
+
+def _without_run(data: Dataset, name: str) -> Dataset:
+    """Return the runs without one of them."""
+    return data.with_runs([run.name for run in data.runs if run.name != name])
 
 
 def _different_run(
@@ -336,7 +402,8 @@ def _search(
         known=selected,
     )
     if all_rows is not None:
-        agreeing = all_rows.with_runs([r.name for r in all_rows.runs if r.name != outcome.contradiction])
+        contradiction = outcome.contradiction
+        agreeing = all_rows if contradiction is None else _without_run(all_rows, contradiction)
         # Like held-out runs, other rows can only remove effects.
         outcome = without_unconfirmed(outcome, agreeing, log)
         outcome = fitted_to_all_rows(outcome, start, agreeing, criteria, log, budget)
