@@ -147,7 +147,7 @@ class SearchState:
         """Return the sites at which the machine may lack an effect, and where a strategy may propose it.
 
         There is none for effects that replace a part of the model (they add coordinates or replace dry friction), which
-        `screening.screen_structures` tries. An effect that a refit of the machine's parameters can represent has sites
+        `structures.screen_structures` tries. An effect that a refit of the machine's parameters can represent has sites
         only where an effect that all drives share follows it: with a dead band for all drives, a gain of one drive
         before it cannot be replaced by this drive's torque constant behind it. Left out are sites where the machine has
         the effect, or lacks another one that it requires.

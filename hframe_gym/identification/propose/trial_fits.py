@@ -35,7 +35,8 @@ from ..predict.free_parameters import (
 from ..predict.linearization import ResidualModel
 from ..predict.prediction import POLISH_STEP, SEARCH_BANDWIDTH, SIMULATION, predict
 from .candidates import Candidate, SearchState, candidates, effect_parameters, is_required
-from .screening import Resemblance, ScoredCandidate, Screening, screen_structures
+from .screening import Resemblance, ScoredCandidate, Screening
+from .structures import screen_structures
 
 # Effects that are fitted in place of a selected one because these runs may not distinguish them.
 _RESEMBLING = 3
