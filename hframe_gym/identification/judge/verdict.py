@@ -12,11 +12,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-
-from ...arrays import Array
 from .criteria import SelectionCriteria
-from .error import AS_GOOD, CLEAR, SIZE_OF_VOLTAGES, FitError, is_enough, required_gain
+from .drift import less_well_than_by_run
+from .error import AS_GOOD, CLEAR, SIZE_OF_VOLTAGES, FitError
 
 Verdict = Literal["effect_found", "no_effect", "unexplained"]
 
@@ -243,15 +241,6 @@ def explains_most(evidence: PartialEvidence, criteria: SelectionCriteria) -> boo
     return wide < limit * wide_before or error < limit * error_before
 
 
-def less_well_than_by_run(parameter: str) -> str:
-    """Return why effects that may differ from run to run are removed, a clause that follows "it ".
-
-    Args:
-        parameter: Name of the parameter whose values by run explain more.
-    """
-    return f"explains the runs less well than another value of {parameter} in each run"
-
-
 def verdict_of_effects(
     any_effect: bool, drift: str, explained: Callable[[], bool]
 ) -> tuple[Verdict, str] | None:
@@ -295,53 +284,6 @@ def verdict_of_rest(
     return "unexplained", "leaves most of the error, also together with the other effects"
 
 
-@dataclass(frozen=True)
-class DriftEvidence:
-    """Effects that may differ from run to run, compared with a parameter that has another value in each run.
-
-    Attributes:
-        unknowns: Number of parameters of the effects that are functions of time or begin each run in an unknown state,
-            plus the number of these states; 0 if there is no such effect.
-        values: Number of values that differ from the first run's, one less than the number of runs.
-        explained: Function that returns whether the machine with effects explains the data in simulation.
-        wide: Function that returns its error with the widest observer.
-        without: Function that returns the error with that observer and without these effects; None if they cannot be
-            removed alone.
-        by_run: Function that returns the error with that observer and another value in each run, in place of these
-            effects; None if no fit succeeds.
-    """
-
-    unknowns: int
-    values: int
-    explained: Callable[[], bool]
-    wide: Callable[[], FitError]
-    without: Callable[[], FitError | None]
-    by_run: Callable[[], FitError | None]
-
-
-def imitates_drift(evidence: DriftEvidence, criteria: SelectionCriteria) -> bool:
-    """Return whether effects only imitate a parameter that differs from run to run.
-
-    They may if they leave an error in simulation, which an observer hides, and if the values in each run explain
-    something: they must reduce the error without these effects by as much as an effect must. Of both explanations, the
-    one with fewer unknowns then holds unless the other one is better by as much: what changes over time must show
-    within the runs where these are few, since any two of them may differ.
-
-    Args:
-        evidence: Errors with the effects and with another value in each run.
-        criteria: Decision thresholds of `required_gain`.
-    """
-    if not evidence.unknowns or evidence.values < 1 or evidence.explained():
-        return False
-    without, by_run = evidence.without(), evidence.by_run()
-    if without is None or by_run is None or not is_enough(without, by_run, required_gain(without, criteria)):
-        return False
-    wide = evidence.wide()
-    if evidence.unknowns < evidence.values:
-        return by_run.chi2 < wide.chi2 - required_gain(wide, criteria)
-    return not wide.chi2 < by_run.chi2 - required_gain(by_run, criteria)
-
-
 def verdict_after_removal(verdict: Verdict, any_effect: bool, refitted_explains: bool) -> Verdict:
     """Return the verdict after the held-out runs have removed effects.
 
@@ -363,104 +305,3 @@ def final_verdict(verdict: Verdict, *, any_effect: bool) -> Verdict:
         any_effect: Whether the corrected machine has effects, those of saturated sensors included.
     """
     return "effect_found" if any_effect and verdict == "no_effect" else verdict
-
-
-def is_worse_than(ratio: float, left: float, criteria: SelectionCriteria) -> bool:
-    """Return whether a machine predicts the held-out runs worse than a simpler one: the plain fit, or the declared one.
-
-    What noise explains is hardly an error: among machines that leave no more, a somewhat smaller one is chance. The
-    noise is the same for both, so that it does not explain a clear difference. An error below the noise counts as the
-    noise.
-
-    Args:
-        ratio: Ratio of its simulation error to that of the simpler machine.
-        left: Its simulation error in units of the noise; not a number if it diverges.
-        criteria: Decision thresholds `min_gain`, for the ratio of the squared errors, and `max_noise_ratio_explained`,
-            up to which they may differ by `AS_GOOD`.
-    """
-    if not left <= criteria.max_noise_ratio_explained:
-        return ratio**2 > 1.0 + criteria.min_gain
-    return ratio > 1.0 and max(left, 1.0) ** 2 > AS_GOOD * max(left / ratio, 1.0) ** 2
-
-
-@dataclass(frozen=True)
-class PredictionsByRun:
-    """How well a machine predicts the held-out runs, with two observers.
-
-    Attributes:
-        judging: Chi-squared per sample with the observer that judges, in units of the noise at rest / that of an exact
-            machine, dimensionless, shape (runs, sensors); NaN if not measured.
-        slow: The same with the slowest observer.
-    """
-
-    judging: Array
-    slow: Array
-
-    @property
-    def worst(self) -> tuple[float, float]:
-        """Largest chi-squared of both observers, dimensionless; infinite: a prediction diverges, or no measurement."""
-        judging, slow = (
-            float(np.max(c[~np.isnan(c)], initial=0.0)) or math.inf for c in (self.judging, self.slow)
-        )
-        return judging, slow
-
-
-def predictions_prevail(
-    machine: PredictionsByRun, simpler: Callable[[], PredictionsByRun], criteria: SelectionCriteria
-) -> bool:
-    """Return whether predictions show that a machine is no worse than a simpler one, although its simulation is.
-
-    In a simulation, errors add up, and grow where the motion passes the top of a potential: a little difference there
-    decides to which side the machine goes on. Of two machines whose simulations have lost the run, the one with the
-    smaller error has it by chance. An observer confines an error to some tenths of a second, so that the errors of
-    predictions are many and independent. They prevail only where they leave no doubt: in each held-out run and at each
-    sensor, the machine leaves what noise explains, and the simpler one, at some sensor of a run, clearly more. A slow
-    force, which the judging observer may hide, must not speak for the simpler machine.
-
-    Where noise is estimated too large, both machines explain the runs, and where it is too small, or the model has
-    errors as those of most real machines, neither does; then the simulations decide.
-
-    Args:
-        machine: Predictions of the machine.
-        simpler: Function that returns the predictions of the plain fit, or of the declared machine.
-        criteria: Decision threshold `explained_chi2`.
-    """
-    judging, slow = machine.worst
-    if not judging < criteria.explained_chi2:
-        return False
-    judging_simpler, slow_simpler = simpler().worst
-    return judging_simpler > CLEAR * max(judging, 1.0) and slow_simpler >= slow
-
-
-def forces_contradict(lacking: float, without: float) -> bool:
-    """Return whether the measured forces contradict effects whose values were fitted to complete runs.
-
-    A cause exerts its force at every moment. Effects that bring the end of a long simulation closer, but miss more of
-    the forces on the way than the machine without them, compensate for something else.
-
-    Args:
-        lacking: Force that the machine with the effects lacks, relative to that of the drives.
-        without: Force that the refitted machine without them lacks, relative to that of the drives.
-    """
-    return lacking > AS_GOOD * without
-
-
-def needs_description(verdict: Verdict, names: int, left: float, criteria: SelectionCriteria) -> bool:
-    """Return whether what is left should be described, because no cause of it is named.
-
-    Args:
-        verdict: Verdict of the search.
-        names: Number of effects that are named.
-        left: Simulation error on the held-out runs in units of the noise; not a number if the machine diverges.
-        criteria: Decision threshold `max_noise_ratio_explained`.
-    """
-    return verdict == "unexplained" and not names and not left <= criteria.max_noise_ratio_explained
-
-
-def description_helps(ratio: float) -> bool:
-    """Return whether a machine with a description, which has more effects, is delivered in place of the one without.
-
-    Args:
-        ratio: Ratio of their simulation errors on the held-out runs.
-    """
-    return AS_GOOD * ratio**2 < 1.0

@@ -27,6 +27,7 @@ from ..fit.run_observers import fit_run_by_run
 from ..fit.slow_logs import fit_slow_log
 from ..fit.start_estimation import refine_dataset
 from ..judge.criteria import SelectionCriteria
+from ..judge.drift import DriftEvidence, imitates_drift, less_well_than_by_run
 from ..judge.effect import parameter_at_limit
 from ..judge.error import (
     FitError,
@@ -37,15 +38,7 @@ from ..judge.error import (
     voltages_may_cause,
 )
 from ..judge.table import TableEvidence, accepts_table, is_one_curve
-from ..judge.verdict import (
-    DriftEvidence,
-    PartialEvidence,
-    Verdict,
-    imitates_drift,
-    less_well_than_by_run,
-    verdict_of_effects,
-    verdict_of_rest,
-)
+from ..judge.verdict import PartialEvidence, Verdict, verdict_of_effects, verdict_of_rest
 from ..predict.free_parameters import default_free_parameters
 from ..predict.prediction import SEARCH_BANDWIDTH, SIMULATION
 from ..propose.trial_fits import without_effect

@@ -10,7 +10,8 @@ from ...arrays import Array
 from ...preparation.dataset import Dataset, PreparedRecording
 from ..fit.model_error import BANDWIDTHS
 from ..fit.start_estimation import refine_dataset
-from ..judge.verdict import JUDGING_BANDWIDTH, PredictionsByRun
+from ..judge.delivery import PredictionsByRun
+from ..judge.verdict import JUDGING_BANDWIDTH
 from ..predict.prediction import POLISH_STEP, SIMULATION, map_runs, sensor_innovation_variance
 from ..predict.start_uncertainty import prediction_residuals, uncertain_starts
 from .machine_errors import ModelEvaluation

@@ -21,7 +21,7 @@ from ..evidence.tried_effects import Log, SelectedEffect
 from ..fit.estimation import Fit, prediction_cost
 from ..fit.plain_fit import PlainFit, equally_weighted, refined_equally
 from ..judge.criteria import SelectionCriteria
-from ..judge.verdict import (
+from ..judge.delivery import (
     description_helps,
     forces_contradict,
     is_worse_than,

@@ -17,7 +17,7 @@ from hframe_gym.identification.evidence.tried_effects import SelectedEffect
 from hframe_gym.identification.fit.channel_errors import ChannelError
 from hframe_gym.identification.fit.estimation import Fit
 from hframe_gym.identification.fit.plain_fit import PlainFit
-from hframe_gym.identification.judge.verdict import PredictionsByRun
+from hframe_gym.identification.judge.delivery import PredictionsByRun
 from hframe_gym.identification.predict.prediction import SIMULATION
 from hframe_gym.identification.search.outcome import SearchOutcome, without_names
 from hframe_gym.identification.validate import simpler_machines

@@ -1,0 +1,65 @@
+"""Decide whether effects only imitate a parameter that differs from run to run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from .criteria import SelectionCriteria
+from .error import FitError, is_enough, required_gain
+
+
+@dataclass(frozen=True)
+class DriftEvidence:
+    """Effects that may differ from run to run, compared with a parameter that has another value in each run.
+
+    Attributes:
+        unknowns: Number of parameters of the effects that are functions of time or begin each run in an unknown state,
+            plus the number of these states; 0 if there is no such effect.
+        values: Number of values that differ from the first run's, one less than the number of runs.
+        explained: Function that returns whether the machine with effects explains the data in simulation.
+        wide: Function that returns its error with the widest observer.
+        without: Function that returns the error with that observer and without these effects; None if they cannot be
+            removed alone.
+        by_run: Function that returns the error with that observer and another value in each run, in place of these
+            effects; None if no fit succeeds.
+    """
+
+    unknowns: int
+    values: int
+    explained: Callable[[], bool]
+    wide: Callable[[], FitError]
+    without: Callable[[], FitError | None]
+    by_run: Callable[[], FitError | None]
+
+
+def imitates_drift(evidence: DriftEvidence, criteria: SelectionCriteria) -> bool:
+    """Return whether effects only imitate a parameter that differs from run to run.
+
+    They may if they leave an error in simulation, which an observer hides, and if the values in each run explain
+    something: they must reduce the error without these effects by as much as an effect must. Of both explanations, the
+    one with fewer unknowns then holds unless the other one is better by as much: what changes over time must show
+    within the runs where these are few, since any two of them may differ.
+
+    Args:
+        evidence: Errors with the effects and with another value in each run.
+        criteria: Decision thresholds of `required_gain`.
+    """
+    if not evidence.unknowns or evidence.values < 1 or evidence.explained():
+        return False
+    without, by_run = evidence.without(), evidence.by_run()
+    if without is None or by_run is None or not is_enough(without, by_run, required_gain(without, criteria)):
+        return False
+    wide = evidence.wide()
+    if evidence.unknowns < evidence.values:
+        return by_run.chi2 < wide.chi2 - required_gain(wide, criteria)
+    return not wide.chi2 < by_run.chi2 - required_gain(by_run, criteria)
+
+
+def less_well_than_by_run(parameter: str) -> str:
+    """Return why effects that may differ from run to run are removed, a clause that follows "it ".
+
+    Args:
+        parameter: Name of the parameter whose values by run explain more.
+    """
+    return f"explains the runs less well than another value of {parameter} in each run"
