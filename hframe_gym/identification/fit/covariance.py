@@ -56,10 +56,12 @@ class _RunPart(NamedTuple):
     delay_score: float
 
 
-def with_uncertainty(fitted: Fit, data: Dataset, *, indicated_delay: bool = True) -> Machine:
+def with_uncertainty(
+    fitted: Fit, data: Dataset, *, indicated_delay: bool = True, deviations: Array | None = None
+) -> Machine:
     """Estimate the covariance of the fitted parameters and attach it to the machine.
 
-    The covariance is the sum of three parts:
+    The covariance is the sum of up to four parts:
 
     - Residual: the sandwich estimator over blocks of 0.5 s, inside which the residual may be correlated in time. The
       correction CR2 compensates for the part of each block's residual that the fit removed. For a small number of
@@ -68,6 +70,8 @@ def with_uncertainty(fitted: Fit, data: Dataset, *, indicated_delay: bool = True
     - Prior: combinations of parameters that the data do not determine keep the standard deviation of the prior.
     - Delay: the change of the parameters if the inputs act later than recorded. The variance of this delay is
       (0.005 T)^2 + d^2, with the sampling period T and the delay d that the residual indicates.
+    - Deviations: their mean square, if other fits are given. It is no variance of random errors, which is why tests of
+      chance are asked without it.
 
     The sum of the first two parts is at least the variance that white noise of the assumed size causes.
 
@@ -80,6 +84,8 @@ def with_uncertainty(fitted: Fit, data: Dataset, *, indicated_delay: bool = True
         fitted: Fit of k parameters: machine, parameter values and cost.
         data: Runs that were fitted.
         indicated_delay: Whether d counts. It does not where the question is whether inputs act later than recorded.
+        deviations: Deviations of theta in m other fits, which should agree (`slow_logs.deviations_of_fits`), shape
+            (m, k). Default: none.
 
     Returns:
         The fitted machine; its `uncertainty` holds the covariance of the k free parameters, SI, shape (k, k). It is
@@ -91,8 +97,11 @@ def with_uncertainty(fitted: Fit, data: Dataset, *, indicated_delay: bool = True
     """
     if not fitted.free:
         return fitted.machine
+    between = np.zeros((len(fitted.free), len(fitted.free)))
+    if deviations is not None and len(deviations):
+        between = deviations.T @ deviations / len(deviations)
     if fitted.covariance is not None:
-        return _with_covariance(fitted, fitted.covariance)
+        return _with_covariance(fitted, fitted.covariance + between)
     data = data.with_observers(fitted.observers)
     directions = _directions(fitted, data, prior_precision(fitted.free))  # (k, k), one per column
     starts = uncertain_starts(fitted.machine, data.runs)
@@ -126,7 +135,7 @@ def with_uncertainty(fitted: Fit, data: Dataset, *, indicated_delay: bool = True
     delay_variance = DELAY_STD**2 + (_estimated_delay(parts, inverse) ** 2 if indicated_delay else 0.0)
     covariance += delay_variance * np.outer(of_delay, of_delay)
     covariance += np.diag(np.where([f.switch for f in fitted.free], np.diag(directions), 0.0) ** 2)
-    return _with_covariance(fitted, covariance)
+    return _with_covariance(fitted, covariance + between)
 
 
 def _with_covariance(fitted: Fit, covariance: Array) -> Machine:

@@ -22,7 +22,12 @@ these statistics are right; instruments need none. Both are fitted to half of th
 parameters that simulates the other half best is taken (stacking). With a choice of one of both, a difference of 1 %
 decided between 25 and 31 times the noise.
 
+All of these fits are right if the voltages err as assumed. If they do not, each errs by another amount, because it
+weighs fast and slow errors otherwise; their deviations from the delivered parameters are a part of the covariance
+(`deviations_of_fits`), as a difference of two estimators shows a wrong specification.
+
 References:
+    Hausman (1978), "Specification tests in econometrics".
     Sawa (1973), "The mean square error of a combined estimator and numerical comparison with the TSLS estimator".
     Breiman (1996), "Stacked regressions".
     Söderström and Stoica (1983), "Instrumental Variable Methods for System Identification".
@@ -50,6 +55,7 @@ from ..judge.observer import index_of_best_simulation
 from ..predict.free_parameters import bounded_step, prior_precision, values_at
 from ..predict.linearization import ResidualModel
 from ..predict.prediction import (
+    NARROWEST_WITH_VOLTAGE_ERRORS,
     POLISH_STEP,
     SEARCH_BANDWIDTH,
     SIMULATION,
@@ -294,6 +300,30 @@ def _between(by_squares: Fit, by_instruments: _Estimate, weight: float) -> _Esti
     """Return the machine with weighted means of the parameters, from least squares (0) to instruments (1)."""
     theta = (1.0 - weight) * by_squares.theta + weight * by_instruments.theta
     return _Estimate(theta, by_squares.machine.replace(values_at(by_squares.free, theta)))
+
+
+def deviations_of_fits(fitted: Fit, data: Dataset) -> Array:
+    """Return by how much theta deviates from the fit that is delivered in fits that weigh errors otherwise.
+
+    The fits are least squares with the widest and with the narrowest observer that is used in such a log, and
+    instruments. All agree by chance if the voltages between the rows err as their statistics say.
+
+    Args:
+        fitted: Fit of k parameters that is delivered.
+        data: Runs that were fitted.
+
+    Returns:
+        Deviations of the fits, shape (m, k); of none, shape (0, k), if the voltages are held or no time is left.
+    """
+    deviations = list[Array]()
+    if data.has_voltage_errors:
+        for bandwidth in (SEARCH_BANDWIDTH, NARROWEST_WITH_VOLTAGE_ERRORS):
+            deviations.append(continue_fit(fitted, data, bandwidth).theta - fitted.theta)
+            if not goes_on():  # then that fit did not converge
+                return np.zeros((0, len(fitted.theta)))
+        if _are_enough(data) and (found := _by_instruments(fitted, data.without_voltage_errors())):
+            deviations.append(found.theta - fitted.theta)
+    return np.array(deviations).reshape(len(deviations), len(fitted.theta))
 
 
 def excess_delay(fitted: Fit, data: Dataset, start: ExcessDelay | None = None) -> ExcessDelay | None:

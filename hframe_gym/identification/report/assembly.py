@@ -17,6 +17,7 @@ from ..fit.estimation import Fit
 from ..fit.force_sizes import drive_force, effect_force
 from ..fit.missing_force import Dependence
 from ..fit.run_differences import RunDifferencesInWords
+from ..fit.slow_logs import deviations_of_fits
 from ..fit.start_estimation import refine_dataset
 from ..judge.verdict import final_verdict
 from ..predict.voltage_errors import simulation_error
@@ -56,7 +57,10 @@ def build_result(
     outcome, selected = evaluated.outcome, evaluated.selected
     before, after, data = outcome.before, outcome.after, outcome.data
     refined = refine_dataset(data, after.machine)
-    corrected = evaluated.after.machine.replace(uncertainty=with_uncertainty(after, refined).uncertainty)
+    with budget.limiting(delivers=True):
+        deviations = deviations_of_fits(after, refined)
+    uncertain = with_uncertainty(after, refined, deviations=deviations)
+    corrected = evaluated.after.machine.replace(uncertainty=uncertain.uncertainty)
     experiments = (
         design_discriminating_experiment(after, corrected, s.effect.label, s.rival_effects, refined)
         for s in selected

@@ -31,6 +31,7 @@ from hframe_gym.identification.fit.slow_logs import (
     _by_instruments,
     _equations_with_delay,
     _smoothed,
+    deviations_of_fits,
     fit_slow_log,
 )
 from hframe_gym.identification.fit.voltage_updates import (
@@ -267,6 +268,27 @@ def test_a_log_with_held_voltages_or_few_rows_is_not_fitted_by_instruments() -> 
     assert fit_slow_log(least_squares(), slow_log()) is least_squares()
     with Budget(0.0).limiting(delivers=True):
         assert fit_slow_log(least_squares(), with_errors()) is least_squares()
+
+
+def test_fits_that_weigh_errors_otherwise_widen_the_intervals() -> None:
+    """A fit that knows nothing of the errors takes the pulley for 3 % heavier; others do not, and say so."""
+    deviations = deviations_of_fits(least_squares(), with_errors())
+    assert deviations.shape == (3, len(least_squares().theta))
+    alone, widened = (
+        with_uncertainty(least_squares(), with_errors(), deviations=d).uncertainty for d in (None, deviations)
+    )
+    assert alone is not None
+    assert widened is not None
+    error = abs(least_squares().values["phi.mass"] - RIG.parameters["phi.mass"])
+    stds = [u.std("phi.mass") or 0.0 for u in (alone, widened)]
+    assert stds[1] > 1.5 * stds[0]
+    assert error < 1.96 * stds[1]
+
+
+def test_held_voltages_and_a_budget_that_ended_widen_no_interval() -> None:
+    assert len(deviations_of_fits(least_squares(), slow_log())) == 0
+    with Budget(0.0).limiting(delivers=True):
+        assert len(deviations_of_fits(least_squares(), with_errors())) == 0
 
 
 def test_unknown_voltages_explain_the_error_of_an_exact_machine() -> None:
