@@ -75,22 +75,32 @@ def check_state_units(observation: KeyedObservation, model: MotionModel) -> None
 def check_goal_units(observation: KeyedObservation, machine: Machine) -> None:
     """Check that the goals of an observation are in m or rad and not normalized: they lie in the machine's workspace.
 
-    Only observations of environments, which have `achieved_goal`, are checked.
+    A real axis may overshoot its workspace, so that a position may be outside it by up to half its length, and one that
+    is larger than any normalized position tells nothing. Only observations of environments, which have
+    `achieved_goal`, are checked.
 
     Raises:
-        InputError: If a goal is outside the workspace.
+        InputError: If a goal is outside the workspace, or a position is as if it were normalized.
     """
     for key in ("achieved_goal", "desired_goal") if "achieved_goal" in observation else ():
         columns = np.asarray(observation[key]).T
-        margin = LARGEST_STRETCH * machine.axis_unit.per_meter + 1e-6
         for axis, limits, values in zip(machine.tool_axes, machine.axis_ranges, columns, strict=False):
             low, high = limits or (-np.inf, np.inf)
+            margin = LARGEST_STRETCH * machine.axis_unit.per_meter + 1e-6
+            normalized = np.abs(values) <= LARGEST_NORMALIZED
+            if key == "achieved_goal":
+                margin = max(margin, (high - low) / 2.0)
             outside = (values < low - margin) | (values > high + margin)
-            if outside.any():
+            wrong = outside & normalized if key == "achieved_goal" else outside
+            if wrong.any():
+                reason = (
+                    "as if the environment had normalize=True"
+                    if normalized[wrong].all()
+                    else "as if in mm or deg"
+                )
                 raise InputError(
-                    f"observation is not in SI units: {key} has {axis} = {values[outside][0]:.3g}, and the workspace is"
-                    f" {low:g} to {high:g} {machine.axis_unit.name}, as if the environment had normalize=True; "
-                    f"{_ADVICE}"
+                    f"observation is not in SI units: {key} has {axis} = {values[wrong][0]:.3g}, and the workspace is"
+                    f" {low:g} to {high:g} {machine.axis_unit.name}, {reason}; {_ADVICE}"
                 )
 
 

@@ -87,6 +87,17 @@ def test_a_machine_without_angles_refuses_goals_outside_its_workspace() -> None:
         make_controller("pid", "axis").act(observation)
 
 
+@pytest.mark.parametrize(("machine", "position"), [("axis", 0.36), ("pendulum", 7.0)])
+def test_an_axis_that_overshoots_its_workspace_is_still_controlled(machine: str, position: float) -> None:
+    """A real machine may do so; the message that the observation is normalized would be wrong."""
+    observation = {
+        "observation": np.array([[position, 0.0]]),
+        "achieved_goal": np.array([[position]]),
+        "desired_goal": np.array([[0.1]]),
+    }
+    assert make_controller("pid", machine).act(observation)[0, 0] < 0.0
+
+
 def test_output_feedback_refuses_normalized_measurements() -> None:
     controller = make_controller("pid", sensors="rig")
     observation, _ = HFrameVectorEnv(32, sensors="rig", normalize=True).reset(seed=0)

@@ -298,9 +298,20 @@ class MotionModel:
 
         It is zero where Coulomb friction exceeds the drive force.
         """
+        return self._largest_force() / np.maximum((self.rigid**2).T @ self.viscous, 1e-9)
+
+    def top_acceleration(self) -> Array:
+        """Compute the acceleration along each axis from rest, m/s^2, shape (axes,), at the rated voltages.
+
+        Only the axis moves. It is zero where Coulomb friction exceeds the drive force.
+        """
+        return self._largest_force() / ((self.rigid**2).T @ self.mass)
+
+    def _largest_force(self) -> Array:
+        """Return the force along each axis at the rated voltages, less Coulomb friction, N, shape (axes,)."""
         drive_force = np.abs(self.force_per_volt) @ self.rated
         friction = np.abs(self.rigid.T) @ self.coulomb
-        return np.maximum(drive_force - friction, 0.0) / np.maximum((self.rigid**2).T @ self.viscous, 1e-9)
+        return np.maximum(drive_force - friction, 0.0)
 
 
 def _memoryless(effect: AppliedEffect) -> bool:

@@ -61,11 +61,18 @@ HORIZON_S = 0.1  # s; goals farther ahead do not change the first voltage
 def longest_transfer_s(model: MotionModel, grid: OperatingPointGrid) -> float:
     """Estimate the time of the longest point-to-point motion in the workspace, s, an upper limit of planned durations.
 
-    It is 1.3 (`LONGEST_MARGIN`) times the time along both sides of the workspace at top speed, or 10 s
-    (`MAX_TRANSFER_S`) if the drives cannot overcome Coulomb friction along an axis.
+    It is 1.3 (`LONGEST_MARGIN`) times the longer of two times, or 10 s (`MAX_TRANSFER_S`) if the drives cannot overcome
+    Coulomb friction along an axis. One is the time along both sides of the workspace at top speed. The other one limits
+    axes that a drive of current or torque, without back-EMF, would take to any speed: the force of the minimum-energy
+    motion from rest to rest of a mass over the distance d falls linearly from its largest value F to -F, which takes
+    sqrt(6 d m / F).
     """
     top_speed = model.top_speed()
-    return float(LONGEST_MARGIN * np.sum(grid.span / top_speed)) if top_speed.min() > 0.0 else MAX_TRANSFER_S
+    if top_speed.min() <= 0.0:
+        return MAX_TRANSFER_S
+    cruise_s = np.sum(grid.span / top_speed)
+    acceleration_s = np.sum(np.sqrt(6.0 * grid.span / model.top_acceleration()))
+    return float(LONGEST_MARGIN * max(cruise_s, acceleration_s))
 
 
 class TransferSelection(NamedTuple):

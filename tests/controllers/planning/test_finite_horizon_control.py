@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
@@ -17,7 +19,8 @@ from hframe_gym.controllers import (
 )
 from hframe_gym.controllers.planning.finite_horizon_control import VOLTAGE_CHANGE_WEIGHT
 from hframe_gym.dynamics import rollout, simulate
-from hframe_gym.machine import BUILTIN_MACHINES, Machine
+from hframe_gym.envs import HFrameVectorEnv
+from hframe_gym.machine import BUILTIN_MACHINES, Drive, Machine
 from tests.controllers.closed_loop import PERIOD, PREVIEW, circles, closed_loop, random_stages
 
 RATED = np.array([12.0, 12.0])
@@ -86,6 +89,22 @@ def test_more_voltage_is_faster(transfers: MinimumEnergyTransfers) -> None:
         for v in (6.0, 12.0)
     )
     assert fast < slow
+
+
+def test_a_drive_without_back_emf_is_braked_in_time() -> None:
+    """Its top speed is far beyond what it reaches in the workspace: the longest motion is one of acceleration."""
+    motor = BUILTIN_MACHINES["motor"]()
+    drive = Drive("motor", "torque_Nm", "shaft", 1.0, 0.0, 1.0, 1.0, rated_voltage=0.05, kind="torque")
+    machine = motor.with_components(replace(motor.coordinate("shaft"), viscous=1e-7)).replace(drives=(drive,))
+    controller = ModelBasedController(machine, 0.005)
+    env = HFrameVectorEnv(1, machine=machine, period=0.005)
+    observation, _ = env.reset(options={"start": (-5.0,), "target": (5.0,)})
+    largest = -5.0
+    for _ in range(100):
+        observation = env.step(controller.act(observation))[0]
+        largest = max(largest, observation["achieved_goal"][0, 0])
+    assert largest < 5.3
+    assert abs(observation["achieved_goal"][0, 0] - 5.0) < 1e-3
 
 
 def test_shortest_transfer_depends_on_the_period(hframe: Machine, transfers: MinimumEnergyTransfers) -> None:
