@@ -142,7 +142,7 @@ class ModelSearch:
         if decided := self._decided(found):
             return decided
         tabled = None if self.runs_differ else self._with_tables(found)
-        return self._outcome("effect_found", tabled) if tabled else self._partial(found)
+        return self._outcome("effect_found", self._with_rivals(tabled)) if tabled else self._partial(found)
 
     def fitted(self, found: SearchOutcome) -> SearchOutcome:
         """Return the outcome of effects and tables that were found in a part of the rows, fitted to all of them.
@@ -413,16 +413,23 @@ class ModelSearch:
         if not effects:
             return Found(current, (), tuple(search.considered.values()))
         search.reached = current, effects
+        if not nearly_explains(current.error, criteria):
+            # Few effects of a machine that is far from explaining the runs are named. Rivals of others do not matter.
+            found = self._passed = self._tested(search, current, effects)
+            if self._verdict(found)[0] != "effect_found":
+                return found
+            for s in effects:
+                search.considered.pop(s.effect.label, None)
         spend("comparing rivals")
         effects = search.with_indistinguishable(current, effects)
         spend("comparing rivals")
         current, effects = search.settle_rivals(current, effects)
         search.reached = current, effects
-        spend("testing each effect beside the others")
         return self._tested(search, current, effects)
 
     def _tested(self, search: EffectSearch, current: Fit, effects: tuple[SelectedEffect, ...]) -> Found:
         """Return those effects of a search that pass the tests beside each other, also in simulation."""
+        spend("testing each effect beside the others")
         current, effects = search.prune(polish(current, search.data), effects)
         simulated = self._refined(current)
         # Without the error that an observer causes, unless the simulation leaves more than the observer corrects.
@@ -469,6 +476,18 @@ class ModelSearch:
                 if accepts_table(evidence):
                     return tabled
         return None
+
+    def _with_rivals(self, tabled: Found) -> Found:
+        """Return effects beside a table with those that these runs hardly distinguish from them.
+
+        Before the table, the machine was far from explaining the runs, so that rivals were not compared.
+        """
+        library = tuple(s for s in tabled.effects if s.effect.definition.family != TABLE_FAMILY)
+        if not library:
+            return tabled
+        listed = self._searches[-1].with_indistinguishable(tabled.fitted, library)
+        by_label = {s.effect.label: s for s in listed}
+        return tabled._replace(effects=tuple(by_label.get(s.effect.label, s) for s in tabled.effects))
 
     def _in_place_of_curves(self, found: Found) -> Found | None:
         """Return a model with a table in place of effects of one variable that only imitate a curve of another form."""

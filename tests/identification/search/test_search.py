@@ -49,6 +49,7 @@ class ScriptedSearch:
         self.simulated: float | None = None
         self.moved: tuple[AppliedEffect, ...] = ()  # effects of that fit, if their values differ
         self.ends_in = ""  # stage in which the budget ends
+        self.compared: list[tuple[str, ...]] = []  # labels of the effects whose rivals were looked for
         script = self
 
         class FakeEffectSearch:
@@ -65,6 +66,7 @@ class ScriptedSearch:
 
             def with_indistinguishable(self, current: Fit, chosen: tuple[SelectedEffect, ...]) -> Any:
                 script.end("rivals")
+                script.compared.append(tuple(s.effect.label for s in chosen))
                 return chosen
 
             def settle_rivals(self, current: Fit, chosen: tuple[SelectedEffect, ...]) -> Any:
@@ -174,6 +176,26 @@ def test_effects_that_fail_a_test_are_not_named_wherever_the_budget_ends(
     outcome = scripted_search.run()
     assert bool(outcome.unfinished) == bool(ends_in)
     assert [s.effect for s in outcome.selected] == [PUSH]
+
+
+@pytest.mark.parametrize(
+    ("chi2", "pruned", "compared"),
+    [
+        (9.0, None, False),  # most of the error is left: not named
+        (9.0, (), False),  # nothing passes the tests
+        (2.0, None, True),
+        (1.2, None, True),
+    ],
+)
+def test_rivals_are_compared_where_effects_are_named(
+    scripted_search: ScriptedSearch, chi2: float, pruned: tuple[()] | None, compared: bool
+) -> None:
+    """On the log of a geared motor, rivals of five effects took half of the budget; none of these was named."""
+    scripted_search.effects, scripted_search.pruned = (selected(PUSH),), pruned
+    scripted_search.after = scripted_search.with_effects = scripted_search.wide = chi2
+    outcome = scripted_search.run()
+    assert bool(scripted_search.compared) == compared
+    assert bool(outcome.selected) == compared
 
 
 def test_a_search_that_ends_before_it_begins_tests_the_effects_of_the_one_before(
@@ -308,6 +330,7 @@ def test_a_table_beside_an_effect_must_add_to_it(scripted_search: ScriptedSearch
     ]
     outcome = scripted_search.run()
     assert (outcome.verdict, [s.effect for s in outcome.selected]) == ("effect_found", [PUSH, SPRING])
+    assert scripted_search.compared == [(PUSH.label, SPRING.label)]  # not before the table
 
 
 def test_a_suspect_run_is_used_if_the_others_are_not_explained_either(
