@@ -32,7 +32,7 @@ from .report.assembly import build_result
 from .report.result import IdentificationResult
 from .search.checked_search import find_effects
 from .validate.evaluation import HeldOutTests, judged, unstable_motion, with_certain_effects
-from .validate.simpler_machines import Delivered, no_worse, reserve_time_after_search
+from .validate.simpler_machines import no_worse, reserve_time_after_search
 
 _SILENT = (
     "Not used: nothing moves in {0}, although {1} starts to move with no more. Its sensor was not read, its drive was "
@@ -110,11 +110,9 @@ def identify(
     # file is delivered.
     certain = with_certain_effects(found.outcome, criteria, log)
     judgment = judged(tests.of(found.held_out).evaluate(certain), found.differing, log)
-    if unstable := unstable_motion(judgment.evaluated, found.differing):
+    delivered = no_worse(judgment, found.plain, log, budget)
+    if unstable := unstable_motion(delivered.evaluated):
         log(unstable)
-        delivered = Delivered(judgment.evaluated, None, ())
-    else:
-        delivered = no_worse(judgment, found.plain, log, budget)
     outcome = delivered.evaluated.outcome
     remarks = (*found.remarks, *([unstable] if unstable else []), *delivered.remarks)
     differences = RunDifferencesInWords()
@@ -126,7 +124,7 @@ def identify(
             differences = describe_run_differences(judgment.evaluated.outcome.after, runs, criteria)
 
     # Report.
-    result = build_result(delivered, found, remarks, differences, budget)
+    result = build_result(delivered, found, remarks, differences, budget, unstable=bool(unstable))
     log(f"verdict: {result.verdict}")
     for s in (s for s in result.effects if s.rivals):
         log(f"these runs cannot distinguish {s.effect.label} from {', '.join(s.rivals)}")

@@ -6,15 +6,8 @@ no worse than a plain fit of inertia and friction, or than the file.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
-from dataclasses import dataclass
-
-import numpy as np
-
-from ...arrays import Array
 from .criteria import SelectionCriteria
-from .error import AS_GOOD, CLEAR
+from .error import AS_GOOD
 from .verdict import Verdict
 
 
@@ -34,55 +27,6 @@ def is_worse_than(ratio: float, left: float, criteria: SelectionCriteria) -> boo
     if not left <= criteria.max_noise_ratio_explained:
         return ratio**2 > 1.0 + criteria.min_gain
     return ratio > 1.0 and max(left, 1.0) ** 2 > AS_GOOD * max(left / ratio, 1.0) ** 2
-
-
-@dataclass(frozen=True)
-class PredictionsByRun:
-    """How well a machine predicts the held-out runs, with two observers.
-
-    Attributes:
-        judging: Chi-squared per sample with the observer that judges, in units of the noise at rest / that of an exact
-            machine, dimensionless, shape (runs, sensors); NaN if not measured.
-        slow: The same with the slowest observer.
-    """
-
-    judging: Array
-    slow: Array
-
-    @property
-    def worst(self) -> tuple[float, float]:
-        """Largest chi-squared of both observers, dimensionless; infinite: a prediction diverges, or no measurement."""
-        judging, slow = (
-            float(np.max(c[~np.isnan(c)], initial=0.0)) or math.inf for c in (self.judging, self.slow)
-        )
-        return judging, slow
-
-
-def predictions_prevail(
-    machine: PredictionsByRun, simpler: Callable[[], PredictionsByRun], criteria: SelectionCriteria
-) -> bool:
-    """Return whether predictions show that a machine is no worse than a simpler one, although its simulation is.
-
-    In a simulation, errors add up, and grow where the motion passes the top of a potential: a little difference there
-    decides to which side the machine goes on. Of two machines whose simulations have lost the run, the one with the
-    smaller error has it by chance. An observer confines an error to some tenths of a second, so that the errors of
-    predictions are many and independent. They prevail only where they leave no doubt: in each held-out run and at each
-    sensor, the machine leaves what noise explains, and the simpler one, at some sensor of a run, clearly more. A slow
-    force, which the judging observer may hide, must not speak for the simpler machine.
-
-    Where noise is estimated too large, both machines explain the runs, and where it is too small, or the model has
-    errors as those of most real machines, neither does; then the simulations decide.
-
-    Args:
-        machine: Predictions of the machine.
-        simpler: Function that returns the predictions of the plain fit, or of the declared machine.
-        criteria: Decision threshold `explained_chi2`.
-    """
-    judging, slow = machine.worst
-    if not judging < criteria.explained_chi2:
-        return False
-    judging_simpler, slow_simpler = simpler().worst
-    return judging_simpler > CLEAR * max(judging, 1.0) and slow_simpler >= slow
 
 
 def forces_contradict(lacking: float, without: float) -> bool:
@@ -110,10 +54,13 @@ def needs_description(verdict: Verdict, names: int, left: float, criteria: Selec
     return verdict == "unexplained" and not names and not left <= criteria.max_noise_ratio_explained
 
 
-def description_helps(ratio: float) -> bool:
+def description_helps(ratio: float, predicted: float | None = None) -> bool:
     """Return whether a machine with a description, which has more effects, is delivered in place of the one without.
 
     Args:
         ratio: Ratio of their simulation errors on the held-out runs.
+        predicted: Ratio of the squared errors of their predictions, if the motion of the machine without the
+            description is unstable: there the smaller error of a simulation may be chance, so that predictions must
+            become better too. None if it is stable.
     """
-    return AS_GOOD * ratio**2 < 1.0
+    return AS_GOOD * ratio**2 < 1.0 and (predicted is None or AS_GOOD * predicted < 1.0)

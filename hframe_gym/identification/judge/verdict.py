@@ -15,6 +15,7 @@ from typing import Literal
 from .criteria import SelectionCriteria
 from .drift import less_well_than_by_run
 from .error import AS_GOOD, CLEAR, SIZE_OF_VOLTAGES, FitError
+from .unstable_motion import UnstableMotion, largest_grown_error, predictions_explain
 
 Verdict = Literal["effect_found", "no_effect", "unexplained"]
 
@@ -42,10 +43,8 @@ class VerdictEvidence:
         voltages_known: Whether the log contains all voltages.
         predicted: Chi-squared per sample of predictions, of what noise and unknown voltages cause: the larger one of
             the widest observer and the one that judges effects. Only where no effect is named, of a log that is slower
-            than its controller. Where the motion is unstable: squared error of predictions with the observer that
-            judges / that of an exact machine.
-        enlarged: How many times a simulation enlarges an error of the size of the noise
-            (`unstable_motion.enlargement`).
+            than its controller.
+        unstable: What is known of the motion if it is unstable, None if it is stable or only noise is left.
     """
 
     left: float
@@ -58,7 +57,7 @@ class VerdictEvidence:
     remaining_fast: float = math.inf
     reduction: float = 0.0
     predicted: float = 1.0
-    enlarged: float = 1.0
+    unstable: UnstableMotion | None = None
 
     @property
     def remaining_simulation(self) -> float:
@@ -114,23 +113,12 @@ def error_beyond_noise(motion: float, left: float) -> float:
     return motion * math.sqrt(part)
 
 
-def is_unstable(enlarged: float, criteria: SelectionCriteria) -> bool:
-    """Return whether the motion is unstable: an error as small as the noise leaves more than noise in a simulation.
-
-    Args:
-        enlarged: How many times a simulation enlarges an error of the size of the noise, dimensionless.
-        criteria: Decision threshold `max_noise_ratio_explained`.
-    """
-    return enlarged > criteria.max_noise_ratio_explained
-
-
 def contradiction_of_no_effect(evidence: VerdictEvidence, criteria: SelectionCriteria) -> str:
     """Return why the held-out runs contradict that no effect is missing, or "" if they do not.
 
     In a log that is slower than its controller, the simulation error is compared with that of noise and unknown
     voltages, whose size is known within a factor of two. Where the motion is unstable, it is compared with what an
-    error of the size of the noise grows to. Predictions, in which neither adds up, must be explained as well; the
-    unstable motion leaves no other evidence, so that these must be as good as those of an exact machine.
+    error of the size of the noise grows to. Predictions, in which neither adds up, must be explained as well.
 
     Args:
         evidence: What the held-out runs say; the machine of the verdict is "after".
@@ -139,25 +127,26 @@ def contradiction_of_no_effect(evidence: VerdictEvidence, criteria: SelectionCri
     Returns:
         A clause.
     """
-    grown = evidence.enlarged if is_unstable(evidence.enlarged, criteria) else 1.0
-    explained = (
-        criteria.max_noise_ratio_explained * (1.0 if evidence.voltages_known else SIZE_OF_VOLTAGES) * grown
-    )
+    motion, left, unstable = evidence.motion, evidence.left, evidence.unstable
+    explained = criteria.max_noise_ratio_explained * (1.0 if evidence.voltages_known else SIZE_OF_VOLTAGES)
+    if unstable is not None:
+        explained = largest_grown_error(unstable, criteria)
     if not evidence.left <= explained:
         allowed = f"; up to {explained:g} times counts as explained" if math.isfinite(evidence.left) else ""
         return f"{evidence.in_words}{allowed}"
-    if grown > 1.0 and not evidence.predicted <= AS_GOOD:
-        return (
-            "the motion of the held-out runs is unstable, and the squared error of their predictions is "
-            f"{evidence.predicted:.3g} times that of an exact machine; up to {AS_GOOD:g} times counts as explained"
-        )
+    if unstable is not None:
+        if not predictions_explain(unstable):
+            return (
+                "the motion of the held-out runs is unstable, and the squared error of their predictions is "
+                f"{unstable.predicted:.3g} times that of an exact machine; up to {AS_GOOD:g} times counts as explained"
+            )
+        motion, left = motion / left, 1.0  # an error that grew hides nothing; the noise may
     if not evidence.predicted < criteria.explained_chi2:
         return (
             f"predictions of the held-out runs have a chi-squared per sample of {evidence.predicted:.3g}, and noise "
             f"and the unknown voltages between the rows explain {criteria.explained_chi2:g} at most"
         )
-    left = min(evidence.left, 1.0) if grown > 1.0 else evidence.left  # an error that grew hides nothing
-    beyond = error_beyond_noise(evidence.motion * left / evidence.left if left else 0.0, left)
+    beyond = error_beyond_noise(motion, left)
     if not beyond <= criteria.max_motion_error:
         return (
             f"the error is at the noise of the sensors, but that may hide {100 * beyond:.2g} % of the motion: too "
@@ -184,8 +173,9 @@ def contradiction_of_names(evidence: VerdictEvidence, explained: bool, criteria:
         return ""
     # In a simulation, errors of a force add up, so that the parameters that are fitted beside a wrong effect may reduce
     # its error many times; the error of predictions counts. But of a machine that nearly fits, an observer hides much.
+    # Along an unstable motion, a simulation errs by chance.
     measured = evidence.remaining_prediction
-    if explained:
+    if explained and evidence.unstable is None:
         measured = min(measured, evidence.remaining_simulation)
     # What has another cause may leave more than the effects remove: the unknown voltages of a slow log, whose size is
     # known within a factor of four only, or a slow force beside effects that leave little of what is fast. The effects

@@ -42,6 +42,8 @@ def build_result(
     remarks: tuple[str, ...],
     differences: RunDifferencesInWords,
     budget: Budget,
+    *,
+    unstable: bool,
 ) -> IdentificationResult:
     """Collect the result of what an identification delivers, and propose an experiment.
 
@@ -52,6 +54,7 @@ def build_result(
         differences: What differs between the runs. If it explains them, the missing force depends on no variable: what
             it seems to depend on, and the effects that come near it, only go with the runs.
         budget: Budget of the identification.
+        unstable: Whether an unstable motion is the cause of the simulation error that is left.
     """
     evaluated = delivered.evaluated
     outcome, selected = evaluated.outcome, evaluated.selected
@@ -100,6 +103,7 @@ def build_result(
         unfinished=unfinished,
         plain=delivered.plain,
         unknown_voltages=_unknown_voltages(corrected, validation, after),
+        unstable=unstable,
     )
     return dataclasses.replace(result, hint=_hint(result))
 

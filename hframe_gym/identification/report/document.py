@@ -282,6 +282,7 @@ class Report(ReportPart):
         explained: Fraction of the squared error of the held-out runs beyond noise that the effects remove.
         left: Simulation error / noise that remains on the held-out runs.
         left_in_others: The same on those that do not contradict the fitted runs (`contradicting`).
+        unstable: Whether an unstable motion is the cause of `left`: predictions are those of an exact machine.
         seconds: Duration of the identification, s.
         warnings: What limits the result, and findings about the recordings, one sentence each.
     """
@@ -302,6 +303,7 @@ class Report(ReportPart):
     explained: FiniteFloat | None = None
     left: FiniteFloat | None = None
     left_in_others: FiniteFloat | None = None
+    unstable: bool = False
     hint: Hint | None = None
     considered: list[Considered] = []
     not_separable: list[NotSeparable] = []

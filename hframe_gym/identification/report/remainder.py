@@ -90,8 +90,7 @@ def reason_of_remainder(report: Report) -> str:
     if report.unknown_voltages:
         commands = report.unknown_voltages.commands
         return f", of which the unknown {commands} between the rows may cause a part or all"
-    # With known voltages, the verdict permits so much only where simulations say nothing.
-    if report.verdict == "no_effect" and (report.left or 0.0) > SelectionCriteria().max_noise_ratio_explained:
+    if report.unstable:
         return ", because the motion is unstable (see the notes)"
     return ", whose cause was not found"
 

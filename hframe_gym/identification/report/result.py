@@ -105,6 +105,7 @@ class IdentificationResult:
         unfinished: What the search was doing when its budget ended; None if it is complete.
         plain: Plain fit of inertia and friction, for comparison; None if the runs permit none.
         unknown_voltages: What the log does not say of the voltages; None if it contains all of them.
+        unstable: Whether an unstable motion is the cause of the simulation error that is left.
     """
 
     verdict: Verdict
@@ -129,6 +130,7 @@ class IdentificationResult:
     unfinished: Unfinished | None = None
     plain: PlainResult | None = None
     unknown_voltages: document.UnknownVoltages | None = None
+    unstable: bool = False
 
     @property
     def explained(self) -> float:
@@ -235,6 +237,7 @@ class IdentificationResult:
             explained=_finite_or_none(self.explained),
             left=_finite_or_none(self.left),
             left_in_others=_finite_or_none(self.left_in_others),
+            unstable=self.unstable,
             hint=self.hint,
             considered=[_considered(entry) for entry in self.considered],
             not_separable=self._not_separable(),

@@ -26,12 +26,12 @@ from ..fit.estimation import prediction_cost
 from ..fit.start_estimation import refine_dataset
 from ..judge.criteria import SelectionCriteria
 from ..judge.effect import uncertain_size
+from ..judge.unstable_motion import UnstableMotion, explains_unstable_motion, is_unstable
 from ..judge.verdict import (
     JUDGING_BANDWIDTH,
     VerdictEvidence,
     contradiction_of_names,
     contradiction_of_no_effect,
-    is_unstable,
     remaining,
 )
 from ..predict.prediction import POLISH_STEP, SEARCH_BANDWIDTH, innovation_variance
@@ -41,15 +41,16 @@ from ..propose.dependences import agree_with_causes, rank_dependences
 from ..propose.trial_fits import without_effect
 from ..search.input_timing import is_timing
 from ..search.outcome import SearchOutcome, with_removed, without_names
+from .held_out_predictions import largest, predictions_by_run
 from .machine_errors import ModelEvaluation, PredictionErrors, evaluate_held_out, with_encoder_zeros
 from .unstable_motion import enlargement
 
 _UNSTABLE = (
     "The motion of the held-out runs is unstable, as that of a pendulum above its axis: in a simulation, an error of "
     "the size of the noise grows by a factor of {:.3g}. Simulations of complete runs therefore say nothing here: an "
-    "exact machine has such errors as well, and that of one machine is smaller than that of another by chance. The "
-    "verdict is judged by predictions that the measurements correct; their squared error is {:.3g} times that of an "
-    "exact machine. The refitted machine is delivered, without a comparison of simulations."
+    "exact machine has such errors as well, and that of one machine is smaller than that of another by chance. "
+    "Predictions that the measurements correct judge the verdict and the machine that is delivered; their squared "
+    "error is {:.3g} times that of an exact machine at most."
 )
 
 
@@ -116,7 +117,7 @@ class HeldOutTest:
     held_out: Dataset
     criteria: SelectionCriteria
     _known: list[_KnownErrors] = field(default_factory=list, init=False, repr=False)
-    _enlargements: list[tuple[Machine, tuple[str, ...], float]] = field(
+    _motions: list[tuple[Machine, tuple[str, ...], UnstableMotion | None]] = field(
         default_factory=list, init=False, repr=False
     )
 
@@ -155,22 +156,42 @@ class HeldOutTest:
         """
         return max((known.seconds for known in self._known), default=0.0)
 
-    def enlargement(self, machine: Machine, names: Sequence[str]) -> float:
-        """Return how many times simulations of some runs enlarge an error, dimensionless.
+    def unstable_motion(
+        self, model: ModelEvaluation, fitted: Dataset, names: Sequence[str] = ()
+    ) -> UnstableMotion | None:
+        """Return what is known of a machine whose motion is unstable; None if it is stable.
+
+        Where voltages between the rows are unknown, what they do to predictions is not known well enough to tell.
 
         Args:
-            machine: Machine with the zeros of its encoders.
-            names: Names of the runs.
-
-        Returns:
-            See `unstable_motion.enlargement`, dimensionless.
+            model: Machine with its errors.
+            fitted: Runs that it was fitted to.
+            names: Names of the held-out runs that count. Default: all.
         """
-        for known, runs, found in self._enlargements:
-            if runs == tuple(names) and known == machine:
+        if self.validation.has_voltage_errors:
+            return None
+        names = tuple(names) or tuple(run.name for run in self.validation.runs)
+        for known, runs, found in self._motions:
+            if runs == names and known == model.machine:
                 return found
-        found = enlargement(machine, self.validation.with_runs(names), JUDGING_BANDWIDTH)
-        self._enlargements.append((machine, tuple(names), found))
-        return found
+        data = self.validation.with_runs(names)
+        enlarged, motion = enlargement(model.machine, data, JUDGING_BANDWIDTH), None
+        if is_unstable(enlarged, self.criteria):
+            motion = UnstableMotion(enlarged, largest(predictions_by_run(model, data, fitted)))
+        self._motions.append((model.machine, names, motion))
+        return motion
+
+    def explains_unstable_motion(self, model: ModelEvaluation, fitted: Dataset) -> bool:
+        """Return whether the error of a simulation is what an unstable motion makes of noise, by predictions as well.
+
+        Args:
+            model: Machine with its errors.
+            fitted: Runs that it was fitted to.
+        """
+        left = model.held_out.noise_ratio
+        if not left > self.criteria.max_noise_ratio_explained:
+            return False
+        return explains_unstable_motion(left, self.unstable_motion(model, fitted), self.criteria)
 
     def evaluate(self, outcome: SearchOutcome) -> Evaluated:
         """Simulate the declared, the refitted and the corrected machine over the held-out runs.
@@ -299,34 +320,23 @@ def _contradiction(evaluated: Evaluated, differing: Sequence[str]) -> str:
                 evidence = _with_fast_error(evidence, evaluated, differing)
             reason = contradiction_of_names(evidence, outcome.explained, criteria)
         return reason
-    reason = contradiction_of_no_effect(evidence, criteria)
-    if reason and not evidence.left <= criteria.max_noise_ratio_explained and evidence.voltages_known:
-        reason = contradiction_of_no_effect(_with_enlargement(evidence, evaluated, differing), criteria)
-    return reason
+    return contradiction_of_no_effect(evidence, criteria)
 
 
-def unstable_motion(evaluated: Evaluated, differing: Sequence[str]) -> str:
+def unstable_motion(evaluated: Evaluated) -> str:
     """Say that the motion of the held-out runs is unstable, and what the errors of simulations mean there.
 
     Args:
-        evaluated: Outcome of a search with its machines, as the held-out runs judge it.
-        differing: Names of held-out runs that contradict the fitted ones.
+        evaluated: Outcome with the machine that is delivered.
 
     Returns:
-        Sentences; "" if simulations err no more than noise explains, if the verdict is not that nothing is missing, or
-        if the motion is stable.
+        Sentences; "" if an unstable motion does not explain the error of the simulation, or only noise is left.
     """
-    criteria, validation = evaluated.test.criteria, evaluated.test.validation
-    if evaluated.outcome.verdict != "no_effect" or validation.has_voltage_errors:
+    test, after, fitted = evaluated.test, evaluated.after, evaluated.outcome.data
+    if not test.explains_unstable_motion(after, fitted):
         return ""
-    left, allowed = evaluated.after.held_out.noise_ratio, criteria.max_noise_ratio_explained
-    if left <= allowed:
-        return ""
-    runs = _agreeing(evaluated, differing)
-    enlarged = evaluated.test.enlargement(evaluated.after.machine, [run.name for run in runs])
-    if not is_unstable(enlarged, criteria):
-        return ""
-    return _UNSTABLE.format(enlarged, _predicted_like_exact(evaluated, _quiet(evaluated, runs)))
+    motion = test.unstable_motion(after, fitted)
+    return "" if motion is None else _UNSTABLE.format(motion.enlarged, motion.predicted)
 
 
 def _with_ranges(evaluated: Evaluated) -> Evaluated:
@@ -365,8 +375,13 @@ def _evidence(evaluated: Evaluated, differing: Sequence[str]) -> VerdictEvidence
     before, after = errors(evaluated.before), errors(evaluated.after)
     motion = after.motion_ratio
     quiet, names = _quiet(evaluated, agreeing), evaluated.outcome.selected
+    left, unstable = finite(after.noise_ratio), None
+    if math.isfinite(left) and left > evaluated.test.criteria.max_noise_ratio_explained:
+        unstable = evaluated.test.unstable_motion(
+            evaluated.after, evaluated.outcome.data, [run.name for run in agreeing]
+        )
     return VerdictEvidence(
-        left=finite(after.noise_ratio),
+        left=left,
         left_before=finite(before.noise_ratio),
         motion=0.0 if math.isnan(motion) else motion,  # nothing moves
         lacking=finite(after.lacking),
@@ -375,19 +390,8 @@ def _evidence(evaluated: Evaluated, differing: Sequence[str]) -> VerdictEvidence
         predicted=1.0
         if names or not validation.has_voltage_errors
         else _predicted(evaluated, quiet, JUDGING_BANDWIDTH, SEARCH_BANDWIDTH),
+        unstable=unstable,
     )
-
-
-def _with_enlargement(
-    evidence: VerdictEvidence, evaluated: Evaluated, differing: Sequence[str]
-) -> VerdictEvidence:
-    """Return the evidence with what simulations make of small errors, and the error of predictions if that is much."""
-    runs = _agreeing(evaluated, differing)
-    enlarged = evaluated.test.enlargement(evaluated.after.machine, [run.name for run in runs])
-    if not is_unstable(enlarged, evaluated.test.criteria):
-        return evidence
-    predicted = _predicted_like_exact(evaluated, _quiet(evaluated, runs))
-    return dataclasses.replace(evidence, enlarged=enlarged, predicted=predicted)
 
 
 def _predicted(evaluated: Evaluated, validation: Dataset, *bandwidths: float) -> float:
@@ -397,12 +401,6 @@ def _predicted(evaluated: Evaluated, validation: Dataset, *bandwidths: float) ->
         / validation.count
         for bandwidth in bandwidths
     )
-
-
-def _predicted_like_exact(evaluated: Evaluated, validation: Dataset) -> float:
-    """Return the squared error of predictions with the observer that judges / that of an exact machine."""
-    exact = innovation_variance(evaluated.after.machine, validation, JUDGING_BANDWIDTH)[0]
-    return _predicted(evaluated, validation, JUDGING_BANDWIDTH) / exact
 
 
 def _agreeing(evaluated: Evaluated, differing: Sequence[str]) -> list[PreparedRecording]:

@@ -8,20 +8,15 @@ import numpy as np
 
 from ...arrays import Array
 from ...preparation.dataset import Dataset, PreparedRecording
-from ..fit.model_error import BANDWIDTHS
 from ..fit.start_estimation import refine_dataset
-from ..judge.delivery import PredictionsByRun
 from ..judge.verdict import JUDGING_BANDWIDTH
-from ..predict.prediction import POLISH_STEP, SIMULATION, map_runs, sensor_innovation_variance
+from ..predict.prediction import POLISH_STEP, map_runs, sensor_innovation_variance
 from ..predict.start_uncertainty import prediction_residuals, uncertain_starts
 from .machine_errors import ModelEvaluation
 
-# rad/s; the slowest observer of a fit shows the slow forces that a faster one hides.
-_SLOWEST = min(b for b in BANDWIDTHS if b != SIMULATION)
 
-
-def predictions_by_run(model: ModelEvaluation, held_out: Dataset, fitted: Dataset) -> PredictionsByRun:
-    """Return how well a machine predicts each held-out run, by sensor.
+def predictions_by_run(model: ModelEvaluation, held_out: Dataset, fitted: Dataset) -> Array:
+    """Return how well a machine predicts each held-out run with the observer that judges, by sensor.
 
     The noise is that at rest: jitter of the clock is estimated from the motion, and an error may be mistaken for it.
 
@@ -29,23 +24,22 @@ def predictions_by_run(model: ModelEvaluation, held_out: Dataset, fitted: Datase
         model: Machine with the zeros of its encoders.
         held_out: Held-out runs.
         fitted: Runs that the machine was fitted to.
+
+    Returns:
+        Mean squared error in units of the noise / that of an exact machine, dimensionless, shape (runs, sensors); NaN
+        if not measured, infinite if a prediction diverges.
     """
     refined = refine_dataset(held_out, model.machine, fitted)
     noise = held_out.noise
     runs = [dataclasses.replace(r, noise=np.broadcast_to(noise, r.noise.shape)) for r in refined.runs]
     data = dataclasses.replace(refined, runs=tuple(runs))
-    return PredictionsByRun(*(_chi2(model, data, b) for b in (JUDGING_BANDWIDTH, _SLOWEST)))
-
-
-def _chi2(model: ModelEvaluation, data: Dataset, bandwidth: float) -> Array:
-    """Return chi-squared per sample / an exact machine's (runs, sensors); NaN: not measured, infinite: diverges."""
     starts = uncertain_starts(model.machine, data.runs)
-    exact = sensor_innovation_variance(model.machine, data.period, bandwidth)
+    exact = sensor_innovation_variance(model.machine, data.period, JUDGING_BANDWIDTH)
 
     def of_run(run: PreparedRecording) -> Array:
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             residual = prediction_residuals(
-                model.machine, run, data, bandwidth, start=starts[run.name], longest_step=POLISH_STEP
+                model.machine, run, data, JUDGING_BANDWIDTH, start=starts[run.name], longest_step=POLISH_STEP
             )
             squares = np.square(residual.reshape(len(run.weights), -1)).sum(axis=0)
             counts = run.weights.sum(axis=0)
@@ -53,3 +47,12 @@ def _chi2(model: ModelEvaluation, data: Dataset, bandwidth: float) -> Array:
             return np.where(counts > 0.0, squares / counts / exact, np.nan)
 
     return np.array(list(map_runs(of_run, data)))
+
+
+def largest(errors: Array) -> float:
+    """Return the largest error that is measured, dimensionless; infinite if there is none.
+
+    Args:
+        errors: Errors by run and sensor, dimensionless, shape (runs, sensors); NaN if not measured.
+    """
+    return float(np.max(errors[~np.isnan(errors)], initial=0.0)) or np.inf

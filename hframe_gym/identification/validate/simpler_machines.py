@@ -26,7 +26,6 @@ from ..judge.delivery import (
     forces_contradict,
     is_worse_than,
     needs_description,
-    predictions_prevail,
 )
 from ..predict.prediction import SIMULATION
 from ..search.forward_selection import EffectSearch
@@ -178,7 +177,7 @@ def _compared(
     if described is not None:
         return result, *described
     ratio = error_ratio(evaluated.after, reference)
-    if ratio > 1.0 and _predicts_better(evaluated.after, reference, test, outcome.data):
+    if ratio > 1.0 and test.explains_unstable_motion(evaluated.after, outcome.data):
         return result, evaluated, ""
     if outcome.selected and ratio > 1.0:  # their parameters were fitted to short predictions
         with budget.limiting(LAST_STAGE_END, delivers=True):
@@ -254,29 +253,12 @@ def _plain_errors(plain: PlainFit, evaluated: Evaluated) -> ModelEvaluation:
 
 def _is_worse(model: ModelEvaluation, reference: ModelEvaluation, test: HeldOutTest, fitted: Dataset) -> bool:
     """Return whether a machine predicts the held-out runs worse than a reference."""
-    return _simulates_worse(model, reference, test) and not _predicts_better(model, reference, test, fitted)
+    return _simulates_worse(model, reference, test) and not test.explains_unstable_motion(model, fitted)
 
 
 def _simulates_worse(model: ModelEvaluation, reference: ModelEvaluation, test: HeldOutTest) -> bool:
     """Return whether a machine simulates the held-out runs worse than a reference."""
     return is_worse_than(error_ratio(model, reference), model.held_out.noise_ratio, test.criteria)
-
-
-def _predicts_better(
-    model: ModelEvaluation, reference: ModelEvaluation, test: HeldOutTest, fitted: Dataset
-) -> bool:
-    """Return whether a machine's predictions prevail over the simulations, in which a reference has smaller errors.
-
-    Where voltages between the rows are unknown, what they do to predictions is not known well enough for this.
-    """
-    if not model.held_out.noise_ratio > test.criteria.max_noise_ratio_explained:
-        return False
-    if test.validation.has_voltage_errors:
-        return False
-    predictions = predictions_by_run(model, test.validation, fitted)
-    return predictions_prevail(
-        predictions, lambda: predictions_by_run(reference, test.validation, fitted), test.criteria
-    )
 
 
 def _instead(evaluated: Evaluated, fitted: Fit, reason: str) -> Evaluated:
@@ -345,13 +327,26 @@ def _better_description(
 ) -> _Description | None:
     """Return a machine with effects as a description if it is clearly better than the best one, or else that one."""
     again = evaluated.test.evaluate(evaluated.outcome._replace(after=fitted))
-    ratio = error_ratio(again.after, base)
-    helps = description_helps(error_ratio(again.after, best.evaluated.after if best else base))
+    ratio, without_it = error_ratio(again.after, base), best.evaluated.after if best else base
+    helps = description_helps(error_ratio(again.after, without_it))
+    if helps and (predicted := _predicted_ratio(again.after, without_it, evaluated)) is not None:
+        helps = description_helps(error_ratio(again.after, without_it), predicted)
     log(description_line(labels, ratio, helps=helps))
     if not helps:
         return best
     lacking, without = again.after.held_out.lacking, evaluated.before.held_out.lacking
     return _Description(again, description_sentence(labels, ratio, lacking, without))
+
+
+def _predicted_ratio(
+    model: ModelEvaluation, reference: ModelEvaluation, evaluated: Evaluated
+) -> float | None:
+    """Return the ratio of the squared errors of predictions if the motion of a reference is unstable, else None."""
+    test, fitted = evaluated.test, evaluated.outcome.data
+    if test.unstable_motion(reference, fitted) is None:
+        return None
+    errors, others = (predictions_by_run(m, test.validation, fitted) for m in (model, reference))
+    return float(np.nanmean(errors) / np.nanmean(others))
 
 
 def description_line(labels: Sequence[str], ratio: float, *, helps: bool) -> str:

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-import numpy as np
 import pytest
 
 from hframe_gym.identification import SelectionCriteria
@@ -33,41 +30,6 @@ def test_a_machine_that_leaves_more_than_noise_may_be_worse_than_the_plain_fit(
     assert judge.is_worse_than(ratio, left, CRITERIA) == worse
 
 
-NAN = float("nan")
-
-
-@pytest.mark.parametrize(
-    ("machine", "simpler", "prevail"),
-    [
-        (([[1.1]], [[1.2]]), ([[90.0]], [[900.0]]), True),  # cogging whose tops the motion passes
-        (([[1.1]], [[1.2]]), ([[2.1]], [[2.3]]), False),  # not clearly more
-        (([[1.6]], [[1.2]]), ([[90.0]], [[900.0]]), False),  # model error, as of real machines
-        (([[0.2]], [[0.2]]), ([[1.4]], [[1.4]]), False),  # the noise is too large, and explains both
-        (([[1.1]], [[40.0]]), ([[2.3]], [[20.0]]), False),  # the observer hides a slow force
-        (
-            ([[1.0], [1.6]], [[1.0], [1.6]]),
-            ([[90.0], [90.0]], [[90.0], [90.0]]),
-            False,
-        ),  # one run is not explained
-        (([[1.0], [1.1]], [[1.0], [1.1]]), ([[1.1], [90.0]], [[1.1], [90.0]]), True),
-        (
-            ([[1.6, 1.0, 1.0]], [[1.6, 1.0, 1.0]]),
-            ([[90.0, 1.0, 1.0]], [[90.0, 1.0, 1.0]]),
-            False,
-        ),  # one sensor
-        (([[1.1, NAN]], [[1.1, NAN]]), ([[90.0, NAN]], [[90.0, NAN]]), True),  # a sensor measures nothing
-        (([[NAN]], [[NAN]]), ([[90.0]], [[90.0]]), False),
-        (([[1.1]], [[1.1]]), ([[float("inf")]], [[float("inf")]]), True),  # the simpler machine diverges
-        (([[float("inf")]], [[float("inf")]]), ([[90.0]], [[90.0]]), False),
-    ],
-)
-def test_predictions_prevail_over_simulations_where_they_leave_no_doubt(
-    machine: tuple[Any, Any], simpler: tuple[Any, Any], prevail: bool
-) -> None:
-    of_machine, of_simpler = (judge.PredictionsByRun(*map(np.array, chi2)) for chi2 in (machine, simpler))
-    assert judge.predictions_prevail(of_machine, lambda: of_simpler, CRITERIA) == prevail
-
-
 @pytest.mark.parametrize(
     ("lacking", "without", "contradicted"),
     [
@@ -80,3 +42,19 @@ def test_effects_with_which_more_force_is_missing_are_contradicted(
     lacking: float, without: float, contradicted: bool
 ) -> None:
     assert judge.forces_contradict(lacking, without) == contradicted
+
+
+@pytest.mark.parametrize(
+    ("ratio", "predicted", "helps"),
+    [
+        (0.91, None, True),
+        (0.92, None, False),
+        (0.09, 440.0, False),  # a pendulum above its axis: backlash that does not exist
+        (0.09, 0.83, True),
+        (0.92, 0.83, False),
+    ],
+)
+def test_a_description_helps_where_the_error_says_something(
+    ratio: float, predicted: float | None, helps: bool
+) -> None:
+    assert judge.description_helps(ratio, predicted) == helps

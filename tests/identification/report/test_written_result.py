@@ -20,10 +20,13 @@ def test_what_is_written_is_read_again(data: Dataset, tmp_path: Path) -> None:
     unknown = UnknownVoltages(
         changes_per_row=4, period_s=1e-3, errors={"x_m": 1e-5}, fitted_by="white residual"
     )
-    result = dataclasses.replace(result_of(data, "effect_found", STRIBECK, PLAN), unknown_voltages=unknown)
+    result = dataclasses.replace(
+        result_of(data, "effect_found", STRIBECK, PLAN), unknown_voltages=unknown, unstable=True
+    )
     write_result(result, tmp_path)
     written = json.loads((tmp_path / "report.json").read_text())
     assert written["unknown_voltages"] == unknown.as_json()
+    assert written["unstable"] is True
     assert load_result(tmp_path).report.as_json() == written
 
 

@@ -15,6 +15,7 @@ from hframe_gym.dynamics import simulate_batch
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import SelectionCriteria, identify, prepare
 from hframe_gym.identification.fit.missing_force import Dependence
+from hframe_gym.identification.judge.unstable_motion import UnstableMotion
 from hframe_gym.identification.judge.verdict import (
     VerdictEvidence,
     contradiction_of_names,
@@ -67,14 +68,15 @@ def test_unknown_voltages_of_a_slow_log_may_explain_its_error(
         (111.0, 2.3e4, 0.97, ""),  # an exact pendulum, swung above its axis
         (111.0, 2.3e4, 1.22, "predictions is 1.22 times that of an exact machine"),  # an effect is missing
         (111.0, 50.0, 0.97, "111 times the noise"),  # more than the instability explains
-        (2.1, 1.9, 1.0, "2.1 times the noise"),  # a machine that is stable
+        (2.1, None, 1.0, "2.1 times the noise"),  # a machine that is stable
         (math.inf, 2.3e4, 1.0, "diverges"),
     ],
 )
 def test_predictions_judge_where_simulations_enlarge_small_errors(
-    left: float, enlarged: float, predicted: float, contradiction: str
+    left: float, enlarged: float | None, predicted: float, contradiction: str
 ) -> None:
-    evidence = dataclasses.replace(EXACT, left=left, motion=0.3, enlarged=enlarged, predicted=predicted)
+    unstable = None if enlarged is None else UnstableMotion(enlarged, predicted)
+    evidence = dataclasses.replace(EXACT, left=left, motion=0.3, unstable=unstable)
     reason = contradiction_of_no_effect(evidence, CRITERIA)
     assert contradiction in reason
     assert bool(contradiction) == bool(reason)
@@ -119,6 +121,17 @@ def test_effects_are_named_if_little_is_left(
     assert (
         named or f"{left:.3g} times the noise of the sensors and 2 % of the drives' force are left" in reason
     )
+
+
+@pytest.mark.parametrize(("unstable", "named"), [(None, True), (UnstableMotion(2.3e4, 1.1), False)])
+def test_along_an_unstable_motion_names_do_not_hold_by_a_simulation(
+    unstable: UnstableMotion | None, named: bool
+) -> None:
+    """The simulation errs half as much by chance, the predictions as much as before."""
+    evidence = dataclasses.replace(
+        EXACT, left=500.0, left_before=1000.0, remaining_prediction=0.9, unstable=unstable
+    )
+    assert (contradiction_of_names(evidence, True, CRITERIA) == "") == named
 
 
 def test_the_fraction_that_remains_counts_beyond_an_exact_machine() -> None:

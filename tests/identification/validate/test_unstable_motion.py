@@ -38,37 +38,49 @@ def test_an_axis_enlarges_no_error() -> None:
 
 
 @pytest.mark.parametrize(
-    ("verdict", "left", "enlarged", "said"),
+    ("left", "enlarged", "voltages_known", "predicted", "said"),
     [
-        ("no_effect", 31.7, 161.0, True),
-        ("no_effect", 31.7, 1.0, False),
-        ("no_effect", 1.9, 161.0, False),
-        ("unexplained", 31.7, 161.0, False),  # the plain fit may be better
+        (31.7, 161.0, True, 0.97, True),
+        (31.7, 161.0, True, 1.5, False),  # something is missing
+        (31.7, 1.0, True, 0.97, False),
+        (1.9, 161.0, True, 0.97, False),
+        (31.7, 161.0, False, 0.97, False),  # unknown voltages may be the cause
     ],
 )
 def test_a_note_says_that_simulations_say_nothing(
-    verdict: str, left: float, enlarged: float, said: bool, monkeypatch: pytest.MonkeyPatch
+    left: float,
+    enlarged: float,
+    voltages_known: bool,
+    predicted: float,
+    said: bool,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    runs: Any = (SimpleNamespace(name="run"),)
-    test = SimpleNamespace(
-        criteria=SelectionCriteria(),
-        validation=SimpleNamespace(has_voltage_errors=False, runs=runs),
-        enlargement=lambda machine, names: enlarged,
+    validation: Any = SimpleNamespace(
+        has_voltage_errors=not voltages_known,
+        runs=(SimpleNamespace(name="run"),),
+        with_runs=lambda names: None,
     )
+    session: Any = SimpleNamespace(usable=None)
+    monkeypatch.setattr(evaluation, "with_all_measurements", lambda held_out, usable: validation)
+    monkeypatch.setattr(evaluation, "enlargement", lambda machine, data, bandwidth: enlarged)
+    monkeypatch.setattr(evaluation, "predictions_by_run", lambda *_: np.array([[predicted]]))
+    test = evaluation.HeldOutTest(session, validation, SelectionCriteria())
     after = SimpleNamespace(held_out=SimpleNamespace(noise_ratio=left), machine=AXIS)
-    evaluated: Any = SimpleNamespace(outcome=SimpleNamespace(verdict=verdict), test=test, after=after)
-    monkeypatch.setattr(evaluation, "_quiet", lambda evaluated, runs: None)
-    monkeypatch.setattr(evaluation, "_predicted_like_exact", lambda evaluated, data: 0.97)
-    sentence = evaluation.unstable_motion(evaluated, ())
+    evaluated: Any = SimpleNamespace(outcome=SimpleNamespace(data=None), test=test, after=after)
+    sentence = evaluation.unstable_motion(evaluated)
     assert bool(sentence) == said
     assert ("grows by a factor of 161" in sentence) == said
 
 
-@pytest.mark.parametrize(
-    ("verdict", "clause"), [("no_effect", "motion is unstable"), ("unexplained", "not found")]
-)
-def test_the_report_says_why_so_much_is_left(verdict: str, clause: str) -> None:
+@pytest.mark.parametrize(("unstable", "clause"), [(True, "motion is unstable"), (False, "not found")])
+@pytest.mark.parametrize("verdict", ["no_effect", "effect_found"])
+def test_the_report_says_why_so_much_is_left(verdict: str, unstable: bool, clause: str) -> None:
     report: Any = SimpleNamespace(
-        verdict=verdict, left=31.7, effects=(), proposed_formulas=(), unknown_voltages=None
+        verdict=verdict,
+        left=31.7,
+        effects=(),
+        proposed_formulas=(),
+        unknown_voltages=None,
+        unstable=unstable,
     )
     assert clause in reason_of_remainder(report)
