@@ -4,6 +4,7 @@
     python -m benchmarks.gap run pid --plants 0 1 --out DIR             # some plants, another folder
     python -m benchmarks.gap run pid --seed 48000 --out DIR             # other plants, such as a held set
     python -m benchmarks.gap table         # write benchmarks/results/gap.json from the result files
+    python -m benchmarks.gap trained --out DIR    # from NAME-trained and NAME-corrected: results/gap_trained.json
     python -m benchmarks.gap list | plants | bounds | picture
 
 A run that ends early continues where it ended. Identified machines and trained agents are kept in out/gap.
@@ -17,13 +18,14 @@ from pathlib import Path
 from benchmarks.gap import bounds, protocol, results
 from benchmarks.gap.entries import entry_names, get_entry
 from benchmarks.gap.plants import COUNT, PUBLIC_SEED, draw_plant
-from benchmarks.gap.summary import RESULTS, overview, read_all, summarize
+from benchmarks.gap.summary import RESULTS, overview, read_all, summarize, trained_against_corrected
 from benchmarks.results_file import write_results
 from hframe_gym.errors import InputError
 from tools.command_line import command_line
 from tools.repository import ROOT
 
 CACHE = ROOT / "out" / "gap"
+ACTIONS = ("run", "table", "trained", "list", "plants", "bounds", "picture")
 
 
 def run(name: str, seed: int, indices: list[int], out: Path, cache: Path = CACHE) -> Path:
@@ -81,7 +83,7 @@ def compute_bounds(seed: int, indices: list[int]) -> None:
 def main() -> None:
     """Run what the command line asks for."""
     parser = command_line(__doc__)
-    parser.add_argument("action", choices=("run", "table", "list", "plants", "bounds", "picture"))
+    parser.add_argument("action", choices=ACTIONS)
     parser.add_argument(
         "entries", nargs="*", metavar="ENTRY", help="`list` names them, or package.module:Class"
     )
@@ -121,6 +123,9 @@ def main() -> None:
             print(overview(read_all(arguments.out)))
         if arguments.action == "table":
             print(write_results("gap", summarize(read_all(arguments.out)), seed=arguments.seed))
+        if arguments.action == "trained":
+            content = trained_against_corrected(read_all(arguments.out))
+            print(write_results("gap_trained", content, seed=arguments.seed))
     except InputError as error:
         sys.exit(f"{error}")
 

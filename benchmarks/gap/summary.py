@@ -178,6 +178,51 @@ def _plants(files: Files) -> list[dict[str, Any]]:
     ]
 
 
+def trained_against_corrected(contents: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    """Compare agents that were trained on the corrected machine with the same agents with its laws alone.
+
+    Args:
+        contents: Result files by the name of the entry: pairs NAME-trained and NAME-corrected.
+
+    Returns:
+        "rows", one per agent and plant, as plain data: "entry", "plant", what it "hides", the environment steps after
+        which the best agent was kept by task ("kept_steps"), those of each training ("training_steps") and their
+        processor time ("training_cpu_s"), and by part the means of both in s and mm with the 95 % interval of the
+        paired "difference" over the episodes.
+    """
+    rows = []
+    for name, content in contents.items():
+        base, _, step = name.rpartition("-")
+        other = contents.get(f"{base}-corrected")
+        if step != "trained" or other is None:
+            continue
+        mine, theirs = plant_scores(content), plant_scores(other)
+        for row in content["plants"]:
+            index = row["plant"]
+            if index not in theirs:
+                continue
+            parts = {}
+            for part, measure in _MEASURES.items():
+                trained, corrected = (getattr(scores[index], measure) for scores in (mine, theirs))
+                parts[part] = {
+                    "corrected": float(corrected.mean()),
+                    "trained": float(trained.mean()),
+                    "difference": interval(trained - corrected),
+                }
+            rows.append(
+                {
+                    "entry": name,
+                    "plant": index,
+                    "hides": draw_plant(content["seed"], index).describe(),
+                    "training_steps": row["about"]["training_steps"],
+                    "kept_steps": row["about"]["kept_steps"],
+                    "training_cpu_s": row["about"]["training_cpu_s"],
+                    **parts,
+                }
+            )
+    return {"rows": rows}
+
+
 def overview(contents: dict[str, dict[str, Any]]) -> str:
     """Format the scores as text.
 

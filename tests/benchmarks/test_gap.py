@@ -25,7 +25,7 @@ from benchmarks.gap.control_loop import (
 from benchmarks.gap.entries import GapEntry, entry_names, get_entry, posterior_covariance
 from benchmarks.gap.plants import COUNT, PUBLIC_SEED, GapPlant, declared_machine, draw_plant
 from benchmarks.gap.recorder import CHOSEN_S, Recorder, standard_session
-from benchmarks.gap.summary import RESULTS, overview, read_all, summarize
+from benchmarks.gap.summary import RESULTS, overview, read_all, summarize, trained_against_corrected
 from hframe_gym.controllers import Controller, StateEstimator
 from hframe_gym.envs import Reach, Track, observed_machine
 from hframe_gym.errors import InputError
@@ -433,6 +433,58 @@ def test_a_model_is_compared_with_the_declared_one_by_seed() -> None:
     summary = summarize({content["entry"]["name"]: content for content in (*declared, *corrected)})
     steps = summary["steps"]["ppo_mix-corrected"]["reach"]
     assert steps["ratio"][0] == pytest.approx((0.2 / 0.4 + 2.2 / 2.4) / 2)
+
+
+def test_agents_are_trained_on_each_task_and_machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("stable_baselines3")
+    found = [machines.Identified(declared_machine(), declared_machine(), "no_effect", (), 1.0, 0.0, ())]
+    runs = []
+
+    def fake_train(recipe: Any, machine: Machine, task: str, *, out: Path, **settings: Any) -> None:
+        runs.append((recipe.name, recipe.start, recipe.env["randomize"], task, machine.parameters["x.mass"]))
+        out.mkdir(parents=True, exist_ok=True)
+        (out / "card.json").write_text(json.dumps({"kept": 7, "curve": [{"cpu_s": 2.0}]}))
+
+    monkeypatch.setattr("hframe_gym.agents.train", fake_train)
+    monkeypatch.setattr(
+        "hframe_gym.agents.agent_files.read_training_card", lambda p: json.loads(p.read_text())
+    )
+    monkeypatch.setattr("benchmarks.gap.entries.standard_session", lambda recorder: ())
+    monkeypatch.setattr("benchmarks.gap.entries.identified", lambda *arguments: found[-1])
+    monkeypatch.setattr("benchmarks.gap.entries.encoders_drift", lambda *arguments: False)
+
+    def prepared() -> GapEntry:
+        entry = get_entry("ppo_mix-trained")()
+        entry.prepare(declared_machine(), Recorder(IDEAL), tmp_path)
+        return entry
+
+    about = prepared().about()
+    assert [run[:4] for run in runs] == [
+        ("ppo_mix_reach", "ppo_mix", "default", "reach"),
+        ("residual_track", "residual", "default", "track"),
+    ]
+    assert (about["kept_steps"], about["training_cpu_s"]) == ({"reach": 7, "track": 7}, 4.0)
+    prepared()
+    assert len(runs) == 2  # the agents of this machine are kept
+    heavier = declared_machine().replace({"x.mass": 5.0})
+    found.append(machines.Identified(heavier, heavier, "no_effect", (), 1.0, 0.0, ()))
+    prepared()
+    assert [run[4] for run in runs[2:]] == [5.0, 5.0]
+
+
+def test_trained_agents_are_compared_with_those_of_corrected_laws() -> None:
+    trained = _content("ppo_mix-seed0-trained", [[0.3, 0.3, 0.4]])
+    trained["plants"][0]["about"] = {
+        "training_steps": 9,
+        "training_cpu_s": 1.0,
+        "kept_steps": {"reach": 8, "track": 0},
+    }
+    corrected = _content("ppo_mix-seed0-corrected", [[0.4, 0.4, 0.5], [0.4, 0.4, 0.5]])
+    contents = {content["entry"]["name"]: content for content in (trained, corrected)}
+    (row,) = trained_against_corrected(contents)["rows"]
+    assert (row["plant"], row["kept_steps"]) == (0, {"reach": 8, "track": 0})
+    assert row["reach"]["difference"] == pytest.approx((-0.1, -0.1, -0.1))
+    assert row["circle"] == {"corrected": 0.1, "trained": 0.1, "difference": (0.0, 0.0, 0.0)}
 
 
 def test_intervals_are_over_plants_and_seeds() -> None:

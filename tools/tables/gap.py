@@ -86,6 +86,28 @@ def gap_learned(results: dict[str, Any]) -> str:
     return markdown(header, rows)
 
 
+@table("gap_trained")
+def gap_trained(results: dict[str, Any]) -> str:
+    """Format agents that were trained on corrected machines beside the same agents with the laws of these machines."""
+    rows = []
+    for row in results["rows"]:
+        cells = []
+        for part, decimals in (("reach", 3), ("circle", 0), ("square", 0)):
+            scale = 1.0 if part == "reach" else 1e3
+            low, high = row[part]["difference"][1:]
+            sign = "" if low <= 0.0 <= high else " (better)" if high < 0.0 else " (worse)"
+            corrected, trained = (scale * row[part][of] for of in ("corrected", "trained"))
+            cells += [f"{corrected:.{decimals}f}", f"{trained:.{decimals}f}{sign}"]
+        kept = ", ".join(f"{steps}" for steps in row["kept_steps"].values())
+        rows.append([f"{row['plant']}: {row['hides']}", *cells, kept])
+    titles = [
+        f"{part}, {of}"
+        for part in ("moves, s", "circle, um", "square, um")
+        for of in ("corrected", "trained")
+    ]
+    return markdown(["plant", *titles, "steps of the agents kept: moves, paths"], rows)
+
+
 def _counts(comparison: dict[str, Any]) -> str:
     """Format on how many plants an entry is better and worse, in parentheses: significantly."""
     c = comparison
