@@ -13,7 +13,7 @@ command line.
 | `NAME-corrected` | identified | NAME, designed from the machine with the effects that identification found |
 | `NAME-posterior` | identified | the same; the state estimator begins with the posterior of the parameters |
 | `NAME-online` | online | parameters that NAME's estimator finds in practice are kept from one episode to the next |
-| `ppo-trained`, `ppo_mix-trained`, `apg-trained`, `residual-trained` | identified | agents, trained further on the corrected machine |
+| `ppo-trained`, `ppo_mix-trained`, `apg-trained`, ... | identified | agents, trained on the corrected machine |
 
 State estimators of identified entries take the encoders for sensors that drift if the held-out recordings are then more
 probable (`encoders_drift`).
@@ -58,7 +58,7 @@ MODELS = ("refitted", "corrected", "posterior")
 VARIANTS = ("drift", *MODELS, "online")
 # Relative standard deviation, added to the posterior: what identification cannot know, such as heat and wear.
 _FLOOR = 0.02
-# PPO continues a policy with a critic of random weights. At the learning rate of `ppo_mix_reach`, 1e-3, the first updates
+# PPO continues a policy with a critic of random weights. At the learning rate of `ppo_mix_reach`, 1e-3, first updates
 # slow moves on the machine of plant 0 by 5 %, which training does not make up; at this one they become 5 % faster.
 _CONTINUED = {"learning_rate": [3e-4, 1e-5], "target_kl": 0.02}
 
