@@ -87,7 +87,7 @@ def _units(motion: SpanMotion, data: Dataset, machine: Machine, balance: Balance
             findings.append(Finding("advice", "", sensor.channel, message))
             continue
         resting = factor < 1 and _is_resting(motion.measured[:, j], data, j)
-        suspect = _suspect(factor, unit)
+        suspect = _suspect(factor, unit, sensor.resolution)
         if not factor or resting:
             continue
         if not _is_extreme(factor) and not (
@@ -131,15 +131,20 @@ def _is_extreme(factor: float) -> bool:
     return not 1 / _SPEED_FACTOR < factor < _SPEED_FACTOR
 
 
-def _suspect(factor: float, unit: str) -> tuple[float, str] | None:
-    """Return value per SI unit and name of the unit that explains a factor between measured and simulated speed."""
-    candidates = list(_SUSPECTS[unit])
-    counts = 2 * math.pi * factor  # per turn
-    if unit == "rad" and counts > _FEWEST_COUNTS:
-        candidates.append((factor, f"counts of an encoder (about {counts:.2g} per turn)"))
-    tolerance = _UNIT_TOLERANCE if _is_extreme(factor) else _NEAR_UNIT
+def _suspect(factor: float, unit: str, resolution: float) -> tuple[float, str] | None:
+    """Return value per SI unit and name of the unit that explains a factor between measured and simulated speed.
+
+    The simulated speed is only as right as the machine file: where possible, counts are those of the `resolution`.
+    """
     if factor <= 0.0:
         return None
+    candidates = list(_SUSPECTS[unit])
+    counts = 2 * math.pi * factor  # per turn
+    if resolution > 0.0 and abs(math.log(factor * resolution)) < math.log(_UNIT_TOLERANCE):
+        candidates.append((1.0 / resolution, "counts of an encoder, of the declared resolution"))
+    elif unit == "rad" and counts > _FEWEST_COUNTS:
+        candidates.append((factor, f"counts of an encoder (about {counts:.2g} per turn)"))
+    tolerance = _UNIT_TOLERANCE if _is_extreme(factor) else _NEAR_UNIT
     value, name = min(candidates, key=lambda candidate: abs(math.log(factor / candidate[0])))
     return (value, name) if abs(math.log(factor / value)) < math.log(tolerance) else None
 

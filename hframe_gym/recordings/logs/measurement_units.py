@@ -131,9 +131,9 @@ def accepted_units(machine: Machine, channel: str) -> dict[str, UnitConversion]:
     """Return the units that the column of a channel may have in a log, and how to convert each to the channel's unit.
 
     The column of a position may be a speed, which is integrated. For a motor encoder whose channel is the travel of a
-    carriage, it may also be the angle or speed of the motor. The column of an input may be a fraction of the drive's
-    rated value, and for a drive without back-EMF (`Ke` 0, an amplifier that controls the current) a current or the
-    torque of the motor.
+    carriage, it may also be the angle or speed of the motor; so may the set point and the measured speed of a carriage
+    that a motor moves directly. The column of an input may be a fraction of the drive's rated value, and for a drive
+    without back-EMF (`Ke` 0, an amplifier that controls the current) a current or the torque of the motor.
 
     Returns:
         Conversions by unit: first the units of the channel's quantity, beginning with the SI unit, then units of the
@@ -147,6 +147,7 @@ def accepted_units(machine: Machine, channel: str) -> dict[str, UnitConversion]:
     speeds = SPEED_UNITS.get(dimension, {}) if channel in machine.output_channels else {}
     for unit, factors in speeds.items():
         conversions[unit] = UnitConversion(Conversion(*factors), True, f"speed in {unit}, {_INTEGRATED}")
+    conversions |= _motor_units(machine, channel, dimension)
     drive = _shaft_drive(machine, channel)
     if drive is not None:
         gear = f"converted by its gear ratio, {drive.gear_ratio:.6g} rad/m"
@@ -160,6 +161,27 @@ def accepted_units(machine: Machine, channel: str) -> dict[str, UnitConversion]:
     if channel in machine.input_channels and dimension != "duty cycle":
         conversions |= _input_units(machine, channel, dimension)
     return conversions
+
+
+def _motor_units(machine: Machine, channel: str, dimension: Dimension) -> dict[str, UnitConversion]:
+    """Return the units of the motor that a set point or the measured speed of a carriage may have, such as rpm."""
+    motor: Dimension | None = {"length": "angle", "linear speed": "angular speed"}.get(dimension)
+    if channel in machine.input_channels:
+        drive: Drive | None = machine.drives[machine.input_channels.index(channel)]
+    else:
+        drive = _direct_drive(machine, channel) if dimension == "linear speed" else None
+    if motor is None or drive is None:
+        return {}
+    gear = f"converted by its gear ratio, {drive.gear_ratio:.6g} rad/m"
+    quantity = "speed" if motor == "angular speed" else "angle"
+    return {
+        unit: UnitConversion(
+            Conversion(*factors).scaled(1.0 / drive.gear_ratio),
+            False,
+            f"{quantity} of {drive.name} in {unit}, {gear}",
+        )
+        for unit, factors in UNITS[motor].items()
+    }
 
 
 def _input_units(machine: Machine, channel: str, dimension: Dimension) -> dict[str, UnitConversion]:
@@ -227,16 +249,21 @@ def scaled_speed_message(machine: Machine, channel: str, unit: str) -> str:
 
 
 def _shaft_drive(machine: Machine, channel: str) -> Drive | None:
-    """Return the drive whose shaft the encoder of a channel in m measures, for its gear ratio.
+    """Return the drive whose shaft the encoder of a channel in m measures, for its gear ratio, or None."""
+    encoder = channel in machine.output_channels and machine.sensor(channel).incremental
+    return _direct_drive(machine, channel) if encoder else None
 
-    None if the channel is not that of such an encoder, or if its carriage has several drives of different gear ratios.
+
+def _direct_drive(machine: Machine, channel: str) -> Drive | None:
+    """Return the drive that moves the carriage which a sensor measures.
+
+    None if the channel is not an output, if the sensor measures something else, or if the carriage has several drives
+    of different gear ratios.
     """
     if channel not in machine.output_channels:
         return None
     sensor = machine.sensor(channel)
-    if not sensor.incremental or sensor.row != {sensor.coordinate: 1.0}:
-        return None
-    if machine.coordinate(sensor.coordinate).kind != "linear":
+    if sensor.row != {sensor.coordinate: 1.0} or machine.coordinate(sensor.coordinate).kind != "linear":
         return None
     drives = [drive for drive in machine.drives if drive.coordinate == sensor.coordinate]
     return drives[0] if len({drive.gear_ratio for drive in drives}) == 1 else None

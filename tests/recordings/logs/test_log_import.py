@@ -525,6 +525,27 @@ def test_the_speed_of_a_motor_on_an_axis_is_integrated_to_travel(tmp_path: Path)
         convert(path, machine, columns={"x_encoder_m": "n"}, scales=scales)
 
 
+def test_a_carriage_may_be_commanded_and_measured_in_the_speed_of_its_motor(tmp_path: Path) -> None:
+    """Drives of screws are commanded in rpm, which the gear ratio of the machine file converts."""
+    machine = new_machine(
+        "axis", "stage", MachineOptions(drive="speed", sensor=("speed@x",), travel_per_turn=0.01)
+    )
+    time_s = 1e-3 * np.arange(1000)
+    log = {
+        "time_s": time_s,
+        "n_set [rpm]": 600.0 * np.sin(9.0 * time_s),
+        "n [rpm]": 500.0 * np.sin(9.0 * time_s),
+    }
+    columns = {"command_m_s": "n_set", "x_m_s": "n", "x_m": "none", "x_encoder_m": "none"}
+    columns = {
+        name: columns[name] for name in columns if name in machine.input_channels + machine.output_channels
+    }
+    run = convert(in_text(text_of)(tmp_path, log), machine, columns=columns)
+    np.testing.assert_allclose(run.inputs[:, 0], 0.1 * np.sin(9.0 * time_s), atol=1e-6)
+    speed = run.outputs[:, machine.output_channels.index("x_m_s")]
+    np.testing.assert_allclose(speed, 500.0 / 6000.0 * np.sin(9.0 * time_s), atol=1e-6)
+
+
 def test_the_angle_of_two_motors_of_different_gear_ratios_is_no_travel() -> None:
     machine = new_machine("axis", "stage", MachineOptions(encoder_lines=500))
     (drive,) = machine.drives
