@@ -69,7 +69,8 @@ def search_effects(
     Returns:
         Verdict, fits of the machine without and with the effects, and the selected and the rejected effects. If the
         budget ended: of what was selected until then, tested like everything else, without tables; without a suspect if
-        that was found to explain the other runs, else in all runs. What there is no time to test is not selected.
+        that was found to explain the other runs and is confirmed, else in all runs. What there is no time to test is
+        not selected.
     """
     searches = [ModelSearch(machine, data, criteria, log, refitted, known=known)]
     budget, ends = budget or Budget(), ends or stage_ends(machine)
@@ -83,7 +84,8 @@ def search_effects(
     last_fit = budget.until(ends.last_fit) if budget.seconds > 0.0 else Budget()
     for search in reversed(searches[1:]):
         outcome = search.finished_early(tests, last_fit)
-        if outcome.explained:  # a run is only left out if one machine explains the others
+        # A run is only left out if one machine explains the others, and held-out runs do not contradict it as well.
+        if outcome.explained and (confirmed is None or confirmed(outcome)):
             return outcome._replace(unfinished=budget.doing)
     return searches[0].finished_early(tests, last_fit)._replace(unfinished=budget.doing)
 

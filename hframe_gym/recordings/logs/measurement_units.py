@@ -165,7 +165,8 @@ def accepted_units(machine: Machine, channel: str) -> dict[str, UnitConversion]:
 
 def _motor_units(machine: Machine, channel: str, dimension: Dimension) -> dict[str, UnitConversion]:
     """Return the units of the motor that a set point or the measured speed of a carriage may have, such as rpm."""
-    motor: Dimension | None = {"length": "angle", "linear speed": "angular speed"}.get(dimension)
+    counterparts: dict[Dimension, Dimension] = {"length": "angle", "linear speed": "angular speed"}
+    motor = counterparts.get(dimension)
     if channel in machine.input_channels:
         drive: Drive | None = machine.drives[machine.input_channels.index(channel)]
     else:

@@ -342,6 +342,22 @@ def test_a_suspect_run_is_used_if_the_others_are_not_explained_either(
 
 
 @pytest.mark.parametrize("confirmed", [True, False])
+def test_a_run_is_not_left_out_where_the_budget_ends_and_held_out_runs_contradict_the_others(
+    scripted_search: ScriptedSearch, confirmed: bool
+) -> None:
+    """A log of a motor that warms was called wrong, beside a held-out one that showed the same."""
+    scripted_search.suspect, scripted_search.effects = "c", (selected(PUSH),)
+    scripted_search.after = scripted_search.wide = 1.2
+    scripted_search.ends_in = "rivals"
+    outcome = search.search_effects(
+        AXIS, runs("abcd"), CRITERIA, lambda line: None, confirmed=lambda outcome: confirmed
+    )
+    assert outcome.unfinished
+    assert outcome.contradiction == ("c" if confirmed else None)
+    assert len(outcome.data.runs) == (3 if confirmed else 4)
+
+
+@pytest.mark.parametrize("confirmed", [True, False])
 def test_all_runs_are_used_if_held_out_runs_do_not_confirm_that_one_is_wrong(
     scripted_search: ScriptedSearch, confirmed: bool
 ) -> None:
