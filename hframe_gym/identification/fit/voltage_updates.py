@@ -39,6 +39,7 @@ from .slow_logs import ExcessDelay, excess_delay
 _MOST_FURTHER_GAIN = 2.0
 # Changes a row: each acts late by half of what the one before does. Instruments count what lies between.
 _TRIALS = (2, 4, 8, 16)
+_FEWEST_UPDATES = 2  # a row; held voltages change once
 _MOST_UPDATES = 20  # a row; with more, voltages act earlier by less than a fortieth of a sampling period
 
 
@@ -103,26 +104,37 @@ def other_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> Vo
         The number of changes if it is clearly another one than the predictions assume, else None. An earlier search
         that rejected that number holds unless it knew fewer effects, without which the count is wrong.
     """
-    if not data.has_voltage_errors:
-        updates = voltage_updates(fitted, data, criteria)
-    else:
-        excess = excess_delay(fitted, data)
-        if excess is None:
-            return None
-        deviation = math.hypot(excess.deviation, DELAY_STD)
-        # The largest number is where the count ends, and need not be close to an estimate.
-        at_end = data.updates == most_updates(data)
-        if not at_end and not voltages_change_at_another_rate(excess.periods, deviation):
-            return None
-        per_row = count_updates(fitted, data, excess)
-        if at_end and not voltages_change_at_another_rate(0.5 / per_row - 0.5 / data.updates, deviation):
-            return None
-        counted = continue_fit(fitted, data.with_updates(per_row), fitted.bandwidth)
-        held = continue_fit(fitted, data.with_held_voltages(), SEARCH_BANDWIDTH)
-        updates = VoltageUpdates(per_row, held.chi2, counted.chi2)
+    count = _counted_again if data.has_voltage_errors else voltage_updates
+    updates = count(fitted, data, criteria)
+    if updates is None or updates.per_row == data.updates:
+        return None
     rejected_with = data.updates_rejected.get(updates.per_row, -1)  # effects
-    is_other = updates.per_row != data.updates and len(fitted.machine.effects) > rejected_with
-    return updates if is_other else None
+    return updates if len(fitted.machine.effects) > rejected_with else None
+
+
+def _counted_again(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> VoltageUpdates | None:
+    """Return how often interpolated voltages change from one row to the next, None where that is not told."""
+    excess = excess_delay(fitted, data)
+    if excess is None:
+        return None
+    deviation = math.hypot(excess.deviation, DELAY_STD)
+    if data.updates == _FEWEST_UPDATES and _act_as_late_as_held(excess, deviation):
+        changing = data.without_voltage_errors()
+        held, updated = (
+            continue_fit(fitted, each, SEARCH_BANDWIDTH) for each in (data.with_held_voltages(), changing)
+        )
+        if not _change(held, updated, changing, criteria):
+            return VoltageUpdates(1, held.chi2, held.chi2)
+    # The largest number is where the count ends, and need not be close to an estimate.
+    at_end = data.updates == most_updates(data)
+    if not at_end and not voltages_change_at_another_rate(excess.periods, deviation):
+        return None
+    per_row = count_updates(fitted, data, excess)
+    if at_end and not voltages_change_at_another_rate(0.5 / per_row - 0.5 / data.updates, deviation):
+        return None
+    counted = continue_fit(fitted, data.with_updates(per_row), fitted.bandwidth)
+    held = continue_fit(fitted, data.with_held_voltages(), SEARCH_BANDWIDTH)
+    return VoltageUpdates(per_row, held.chi2, counted.chi2)
 
 
 def count_updates(fitted: Fit, data: Dataset, excess: ExcessDelay | None = None) -> int:
@@ -222,19 +234,42 @@ def voltage_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> 
     if not can_show_updates(data):
         return VoltageUpdates(1, held.chi2, held.chi2)
     per_row, best = _least_error(held, data, required_gain(held.error, criteria) / _MOST_FURTHER_GAIN)
-    if per_row > 1:
-        before, after = (
-            prediction_costs(f.machine, d, SEARCH_BANDWIDTH)
-            for f, d in ((held, data), (best, data.with_updates(per_row)))
-        )
-        excess = expected_excess(best.machine, data.with_updates(per_row), SEARCH_BANDWIDTH)
-        error = dataclasses.replace(best.error, floor=best.floor + excess)
-        evidence = UpdatesEvidence(held.error, error, float(np.mean(after < before)))
-        if voltages_change_between_rows(evidence, criteria):
-            per_row = count_updates(best, data.with_updates(per_row))
-            fitted = continue_fit(best, data.with_updates(per_row), SEARCH_BANDWIDTH)
-            return VoltageUpdates(per_row, held.chi2, fitted.chi2)
+    if per_row > 1 and _change(held, best, data.with_updates(per_row), criteria):
+        per_row = count_updates(best, data.with_updates(per_row))
+        fitted = continue_fit(best, data.with_updates(per_row), SEARCH_BANDWIDTH)
+        return VoltageUpdates(per_row, held.chi2, fitted.chi2)
     return VoltageUpdates(1, held.chi2, held.chi2)
+
+
+def _change(held: Fit, changing: Fit, data: Dataset, criteria: SelectionCriteria) -> bool:
+    """Return whether the voltages change between the rows, by fits with held and with changing voltages.
+
+    Args:
+        held: Fit with voltages that are held from row to row.
+        changing: Fit with voltages that change between the rows.
+        data: Runs with the changing voltages, without their errors.
+        criteria: Decision thresholds.
+    """
+    before, after = (
+        prediction_costs(fitted.machine, runs, SEARCH_BANDWIDTH)
+        for fitted, runs in ((held, data.with_held_voltages()), (changing, data))
+    )
+    excess = expected_excess(changing.machine, data, SEARCH_BANDWIDTH)
+    error = dataclasses.replace(changing.error, floor=changing.floor + excess)
+    evidence = UpdatesEvidence(held.error, error, float(np.mean(after < before)))
+    return voltages_change_between_rows(evidence, criteria)
+
+
+def _act_as_late_as_held(excess: ExcessDelay, deviation: float) -> bool:
+    """Return whether voltages that change twice a row act so much later that they are rather held.
+
+    Args:
+        excess: What instruments find with two changes a row.
+        deviation: Standard deviation of this delay, the accuracy of the times of recordings included, dimensionless.
+    """
+    clear = voltages_change_at_another_rate(excess.periods, deviation)
+    halfway = 0.5 * (0.5 - 0.5 / _FEWEST_UPDATES)
+    return clear and excess.periods > halfway
 
 
 def can_show_updates(data: Dataset) -> bool:

@@ -413,9 +413,13 @@ def _replace(current: Fit, machine: Machine, scales: TypicalScales, data: Datase
     """
     effect = machine.effects[-1]
     if (effect.definition.structure or effect.definition.tension) and current.bandwidth >= SEARCH_BANDWIDTH:
-        declared = {f.name: f.center for f in current.free if not f.of_effect}
-        machine = current.machine.replace(declared).with_effects(effect)
+        machine = _as_declared(current).with_effects(effect)
     return _trial_fit(machine, *_all_free(machine, scales), current, data, goal=goal)
+
+
+def _as_declared(current: Fit) -> Machine:
+    """Return the machine of a fit with declared parameters, but those of its effects."""
+    return current.machine.replace({f.name: f.center for f in current.free if not f.of_effect})
 
 
 def _all_free(machine: Machine, scales: TypicalScales) -> tuple[tuple[FreeParameter, ...], Array]:
@@ -429,11 +433,15 @@ def _all_free(machine: Machine, scales: TypicalScales) -> tuple[tuple[FreeParame
 def fit_with_effects(current: Fit, effects: Sequence[AppliedEffect], data: Dataset) -> Fit:
     """Add effects that were fitted before to a machine, and fit all until convergence.
 
+    With a structural effect, the fit starts from the declared parameters. Those that are not free with the effect, such
+    as the length of a belt that it divides, would keep the values that compensated for it.
+
     Args:
         current: Fit without the effects; the new one has the same observer bandwidth.
         effects: The effects with their starting values, those that others need first.
     """
-    machine = current.machine.with_effects(*effects)
+    structural = any(e.definition.structure for e in effects)
+    machine = (_as_declared(current) if structural else current.machine).with_effects(*effects)
     trial = _trial_fit(machine, *_all_free(machine, typical_scales(current, data)), current, data)
     return converge(trial, data, thorough=True)
 

@@ -345,3 +345,20 @@ def test_a_machine_that_was_fitted_with_errors_of_the_voltages_shows_them(fitted
             errors.log_variance(SEARCH_BANDWIDTH),
             atol=0.01,
         )
+
+
+@pytest.mark.parametrize(("rows", "expected"), [(1, 1), (2, None)])
+def test_voltages_that_act_as_late_as_held_ones_are_held(
+    monkeypatch: pytest.MonkeyPatch, rows: int, expected: int | None
+) -> None:
+    """Without an effect, voltages seemed to change twice a row; it is known now, and the runs are judged again."""
+    data = slow_log(rows).with_updates(2)
+    fitted = refitted(data)
+
+    def excess_delay(fitted: Fit, data: Dataset, start: ExcessDelay | None = None) -> ExcessDelay:
+        return ExcessDelay(0.25, 0.01, fitted.theta)
+
+    monkeypatch.setattr(voltage_updates_module, "excess_delay", excess_delay)
+    monkeypatch.setattr(voltage_updates_module, "most_updates", lambda data: 2)
+    updates = other_updates(fitted, with_voltage_errors(fitted.machine, data), SelectionCriteria())
+    assert (updates and updates.per_row) == expected
