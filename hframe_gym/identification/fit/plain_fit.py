@@ -269,7 +269,7 @@ def _ends_at_limit(fitted: Fit, term: AppliedEffect) -> bool:
 
 
 def _fit_with_term(start: Machine, fitted: Fit, term: AppliedEffect, equal: Dataset) -> Fit:
-    """Fit with one term more, from the fit without it."""
+    """Fit with one term more, from the fit without it and from the machine of the balance of forces."""
     machine, parameters = fitted.machine, _term_parameters(term, start)
     trials = [fit(machine.with_effects(term), (*wide_parameters(machine), *parameters), equal, SIMULATION)]
     if not term.definition.delay:
@@ -278,7 +278,14 @@ def _fit_with_term(start: Machine, fitted: Fit, term: AppliedEffect, equal: Data
         again = start.with_effects(*(e for e in machine.effects if e.label not in own))
         free = (*wide_parameters(again), *parameters)
         trials += _output_error_fits(again.with_effects(term), free, equal)
-    return min(trials, key=_finite_cost)
+    best = min(trials, key=_finite_cost)
+    if best.cost < fitted.cost:
+        return best
+    # A size from the balance belongs to the inertia and friction there. Beside those of the fit without the term, it
+    # led away: a fit that begins at that one can only become better.
+    absent = dataclasses.replace(term, parameters=dict.fromkeys(term.parameters, 0.0))
+    free = (*wide_parameters(machine), *_term_parameters(absent, start))
+    return min(best, fit(machine.with_effects(absent), free, equal, SIMULATION), key=_finite_cost)
 
 
 def _fits_from_points(machine: Machine, data: Dataset) -> list[Fit]:
@@ -361,12 +368,26 @@ def refined_equally(fitted: Fit, data: Dataset) -> Fit:
 def wide_parameters(machine: Machine) -> tuple[FreeParameter, ...]:
     """Return the parameters that identification refits, with priors so wide that the data alone determine them.
 
+    Phases of declared effects are among them also if they are zero: that is an angle like any other, for example that
+    at which an arm is believed to hang, and not an effect that is absent.
+
     Args:
         machine: Machine with the starting values.
 
     Returns:
         Free parameters, centered on the machine's values.
     """
+    free = default_free_parameters(machine)
+    known = {parameter.name for parameter in free}
+    present = {parameter.name.rpartition(".")[0] for parameter in free if parameter.of_effect}
+    phases = (
+        FreeParameter(
+            f"{effect.label}.{p.name}", 0.0, _TERM_PRIOR, scale=p.scale, lower=p.lower, upper=p.upper
+        )
+        for effect in machine.effects
+        for p in effect.definition.parameters
+        if p.role == "phase" and effect.label in present
+    )
 
     def widened(parameter: FreeParameter) -> FreeParameter:
         if parameter.of_effect:
@@ -375,7 +396,8 @@ def wide_parameters(machine: Machine) -> tuple[FreeParameter, ...]:
             return dataclasses.replace(parameter, prior=_WIDE_PRIOR)
         return dataclasses.replace(parameter, prior=_TERM_PRIOR, lower=0.0, upper=math.inf)
 
-    return tuple(map(widened, default_free_parameters(machine)))
+    added = (phase for phase in phases if phase.name not in known and phase.name not in machine.ties)
+    return (*map(widened, free), *added)
 
 
 def _terms(machine: Machine, offsets: Sequence[AppliedEffect]) -> Iterable[AppliedEffect]:

@@ -111,7 +111,7 @@ def test_a_delay_at_the_limit_of_its_range_is_no_term(lag: float, terms: tuple[s
     plain = plain_fit(axis(TRUE), prepare(late, axis(TRUE)))
     assert plain is not None
     assert plain.terms == terms
-    assert not any("input_delay@drives" in extended.terms for extended in plain.extended if not terms)
+    assert not any("input_delay@drives" in other.terms for other in plain.extended if not terms)
 
 
 def test_a_speed_without_sign_is_fitted_from_many_points() -> None:
@@ -291,6 +291,24 @@ def test_starting_values_include_a_declared_weight_and_no_vanishing_friction(vis
     assert best.parameters["arm.mass"] == pytest.approx(0.02, rel=0.05)
     fastest = max(np.abs(np.diff(run.outputs[:, 0])).max() / 4e-3 for run in recordings)
     assert all(machine.parameters["arm.viscous"] * fastest > 1e-3 * 3.0 for machine in starts)
+
+
+def test_an_arm_that_does_not_hang_at_the_declared_angle_is_fitted_with_its_phase_and_a_constant_force() -> (
+    None
+):
+    """The file has a twentieth of the weight, at a phase of zero; a cord pulls as well, and the arm is turned over."""
+    arm = torque_driven(BUILTIN_MACHINES["pendulum"]())
+    declared = arm.replace(
+        {"arm.mass": 2e-3, "arm.viscous": 1e-5, "arm.coulomb": 3e-3, "unbalance@arm.A": -0.1}
+    )
+    true = {"arm.mass": 0.02, "arm.viscous": 0.05, "arm.coulomb": 0.1, "unbalance@arm.A": -2.0}
+    turned = arm.replace({**true, "unbalance@arm.p": -0.3})
+    turned = turned.with_effects(EFFECTS["constant_force"].at("arm", size=0.3))
+    plain = plain_fit(declared, prepare(random_torques(turned, 3.0), declared))
+    assert plain is not None
+    assert plain.terms == ("constant_force@arm",)
+    assert plain.machine.parameters["unbalance@arm.p"] == pytest.approx(-0.3, abs=0.02)
+    assert plain.machine.parameters["constant_force@arm.size"] == pytest.approx(0.3, rel=0.1)
 
 
 def test_a_weight_is_found_although_a_constant_force_has_taken_a_part_of_it() -> None:
