@@ -27,6 +27,7 @@ from ..fit.model_error import (
     narrower_observer,
     refitted_leave_one_out_gain,
 )
+from ..fit.slow_logs import fit_by_instruments
 from ..judge import effect as judge
 from ..judge.criteria import SelectionCriteria
 from ..judge.effect import (
@@ -35,7 +36,7 @@ from ..judge.effect import (
     Disagreement,
     EffectEvidence,
     Forces,
-    SizeByObserver,
+    SizeByFit,
 )
 from ..predict.prediction import SEARCH_BANDWIDTH
 from .effect_parameters import parameter_values, sizes
@@ -70,17 +71,19 @@ class TestedFit:
         return continue_fit(self.fitted, self.data, SEARCH_BANDWIDTH)
 
     @cached_property
-    def deviations(self) -> tuple[dict[str, float], dict[str, float]]:
-        """Standard deviations of all sizes, by full name: with the observer of the fit, and with the widest one."""
-        here, wide = (
-            {
-                f"{effect.label}.{size.name}": size.std
-                for effect in machine.effects
-                for size in sizes(effect, machine)
-            }
-            for machine in (with_uncertainty(fitted, self.data) for fitted in (self.fitted, self.wide))
-        )
-        return here, wide
+    def by_instruments(self) -> Fit | None:
+        """Fit by instruments, if they find one."""
+        return fit_by_instruments(self.fitted, self.data)
+
+    @cached_property
+    def deviations(self) -> dict[str, float]:
+        """Standard deviations of all sizes, by full name."""
+        return _deviations(self.fitted, self.data)
+
+    @cached_property
+    def wide_deviations(self) -> dict[str, float]:
+        """Standard deviations of all sizes with the widest observer, by full name."""
+        return _deviations(self.wide, self.data)
 
     @cached_property
     def likeliest(self) -> Fit:
@@ -163,23 +166,53 @@ def effect_evidence(without: Fit, tested: TestedFit, effect: AppliedEffect) -> E
         parameters=parameter_values(effect.label, with_effect),
         disagreement=_disagreement_of_sensors(without, with_effect, effect, data),
         beside_voltages=None if held else beside_voltages,
-        sizes_by_observer=None if held or with_effect.error.widest else lambda: _sizes(tested, effect.label),
+        sizes_by_observer=None
+        if held or with_effect.error.widest
+        else lambda: _sizes_by_observer(tested, effect.label),
+        sizes_by_instruments=None if held else lambda: _sizes_by_instruments(tested, effect.label),
     )
 
 
-def _sizes(tested: TestedFit, label: str) -> list[SizeByObserver]:
+def _deviations(fitted: Fit, data: Dataset) -> dict[str, float]:
+    """Return the standard deviations of the sizes of all effects, by full name."""
+    machine = with_uncertainty(fitted, data)
+    return {
+        f"{effect.label}.{size.name}": size.std
+        for effect in machine.effects
+        for size in sizes(effect, machine)
+    }
+
+
+def _sizes_by_observer(tested: TestedFit, label: str) -> list[SizeByFit]:
     """Return the sizes of an effect with the observer of the fit, and with the widest one."""
-    here, wide = (
-        next(e for e in fitted.machine.effects if e.label == label) for fitted in (tested.fitted, tested.wide)
-    )
-    fitted_names = {free.name for free in tested.fitted.free}
 
     def std(name: str) -> float:
-        return math.hypot(*(by_name.get(name, math.inf) for by_name in tested.deviations))
+        both = (tested.deviations, tested.wide_deviations)
+        return math.hypot(*(by_name.get(name, math.inf) for by_name in both))
 
+    return _sizes(tested.fitted, tested.wide, label, std)
+
+
+def _sizes_by_instruments(tested: TestedFit, label: str) -> list[SizeByFit]:
+    """Return the sizes of an effect by least squares, and by instruments; none if these find nothing.
+
+    Where both fits are right, the variance of their difference is the difference of their variances, because least
+    squares are the better of both (Hausman). That of the instruments is its limit.
+    """
+    found = tested.by_instruments
+    if found is None:
+        return []
+    deviations = cache(lambda: _deviations(found, tested.data))
+    return _sizes(tested.fitted, found, label, lambda name: deviations().get(name, math.inf))
+
+
+def _sizes(fitted: Fit, other: Fit, label: str, std: Callable[[str], float]) -> list[SizeByFit]:
+    """Return the sizes of an effect in two fits; the function returns the standard deviation of their difference."""
+    here, there = (next(e for e in f.machine.effects if e.label == label) for f in (fitted, other))
+    fitted_names = {free.name for free in fitted.free}
     return [
-        SizeByObserver(
-            p.name, here.parameters[p.name], wide.parameters[p.name], partial(std, f"{label}.{p.name}")
+        SizeByFit(
+            p.name, here.parameters[p.name], there.parameters[p.name], partial(std, f"{label}.{p.name}")
         )
         for p in here.definition.parameters
         if p.amplitude and f"{label}.{p.name}" in fitted_names

@@ -74,7 +74,9 @@ _SMOOTHED_ROWS = 15
 _CHANCE = 1e-6  # probability that Gaussian errors exceed those at which a row is left out
 _ROWS_PER_COEFFICIENT = 10  # fewer rows do not determine an autoregression
 _ROUNDS = 10  # steps of the parameters, at most
-_LONGEST_STEP = 0.5  # of theta, where the residual is not linear
+# Of theta, where the residual is not linear; a parameter that is no logarithm may also change by this part of itself.
+# A damping of belts that does not exist is 1 ms by least squares; in steps of 0.05 ms, no fit by instruments ended.
+_LONGEST_STEP = 0.5
 # Weights of the fit by instruments that are compared; more would not change its simulations.
 _WEIGHTS = (0.0, 0.25, 0.5, 0.75, 1.0)
 _CONVERGED = 1.0  # decrease of the cost: that of one standard deviation
@@ -275,6 +277,23 @@ def fit_slow_log(fitted: Fit, data: Dataset) -> Fit:
     return fitted if by_instruments is None else _finished(fitted, by_instruments, weight, data)
 
 
+def fit_by_instruments(fitted: Fit, data: Dataset) -> Fit | None:
+    """Fit a machine by instruments.
+
+    Args:
+        fitted: Fit of a machine by least squares.
+        data: Runs that were fitted.
+
+    Returns:
+        Fit with the covariance of the instruments; None if the voltages are held, the rows are too few, or the steps do
+        not converge.
+    """
+    if not data.has_voltage_errors or not _are_enough(data):
+        return None
+    found = _by_instruments(fitted, data.without_voltage_errors())
+    return None if found is None else _finished(fitted, found, 1.0, data)
+
+
 def _weight_of_instruments(fitted: Fit, data: Dataset) -> float:
     """Return the weight of the fit by instruments with which each half of the runs simulates the other half best.
 
@@ -428,7 +447,10 @@ def _step(fitted: Fit, theta: Array, equations: _Equations) -> tuple[Array, Arra
     prior = prior_precision(fitted.free)
     slope = equations.gradient + prior @ theta
     step = bounded_step(fitted.free, theta, equations.information + prior, slope)
-    return step * min(1.0, _LONGEST_STEP / max(float(np.abs(step).max()), 1e-300)), slope
+    values = zip(fitted.free, theta, strict=True)
+    sizes = [0.0 if free.scale is None else abs(free.value(t) / free.scale) for free, t in values]
+    longest = _LONGEST_STEP * np.maximum(sizes, 1.0)
+    return step / max(float(np.max(np.abs(step) / longest)), 1.0), slope
 
 
 def _are_finite(linear: Sequence[_Linear]) -> bool:

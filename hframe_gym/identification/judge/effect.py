@@ -128,19 +128,19 @@ class Size:
 
 
 @dataclass(frozen=True)
-class SizeByObserver:
-    """A parameter without which an effect is absent, fitted with two observers.
+class SizeByFit:
+    """A parameter without which an effect is absent, by two fits.
 
     Attributes:
         name: Name of the parameter.
-        value: Its value with the observer of the search, in its unit.
-        wide: Its value with the widest observer.
+        value: Its value in the fit that is tested, in its unit.
+        other: Its value in a fit that weighs fast errors more, or by instruments.
         std: Function that returns the standard deviation of their difference; this takes seconds.
     """
 
     name: str
     value: float
-    wide: float
+    other: float
     std: Measured
 
 
@@ -182,6 +182,8 @@ class EffectEvidence:
             of a sensor, or no other sensor measures the same motions.
         sizes_by_observer: Parameters without which the effect is absent, with the observer of the fits and with the
             widest one; None if the voltages are held, or if the observer of the fits is the widest one.
+        sizes_by_instruments: The same by least squares and by instruments; none if instruments find nothing; None if
+            the voltages are held.
     """
 
     without: FitError
@@ -199,7 +201,8 @@ class EffectEvidence:
     parameters: Sequence[ParameterValue] = ()
     beside_voltages: Measured | None = None
     disagreement: Callable[[], Disagreement] | None = None
-    sizes_by_observer: Callable[[], Sequence[SizeByObserver]] | None = None
+    sizes_by_observer: Callable[[], Sequence[SizeByFit]] | None = None
+    sizes_by_instruments: Callable[[], Sequence[SizeByFit]] | None = None
 
     @property
     def gain(self) -> float:
@@ -299,25 +302,33 @@ def _by_voltages(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
 def _of_several_sizes(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
     """Return the doubt that an effect imitates what controllers do between the rows; "" if it has one size.
 
-    What exists has the same size with every observer. A controller that answers vibrations between the rows changes
-    their phase, as a damping of belts does, but by another amount: the wider the observer, the faster the error that
-    determines the size, and the more of it is theirs. A size that is not known well with one observer is no other one.
+    What exists has the same size with every observer and by instruments.
+
+    - A controller that answers vibrations between the rows changes their phase, as a damping of belts does, but by
+      another amount: the wider the observer, the faster the error that determines the size, and the more of it is
+      theirs.
+    - Least squares take errors of the voltages for another division of the inertia into those of stage and pulleys, and
+      a damping of belts or a late sensor for what that does to vibrations. Instruments do not contain these errors.
+
+    A size that is not known well in one fit is no other one.
     """
-    if evidence.sizes_by_observer is None:
-        return ""
-    sizes = evidence.sizes_by_observer()
-    if not sizes or not all(_differs(size, criteria) for size in sizes):
-        return ""
-    values = " and ".join(f"{s.name} = {s.wide:.2g} instead of {s.value:.2g}" for s in sizes)
-    return f"has another size in fast errors ({values}), as what imitates voltages between the rows does"
+    for sizes_by, where in (
+        (evidence.sizes_by_observer, "in fast errors"),
+        (evidence.sizes_by_instruments, "by instruments"),
+    ):
+        sizes = sizes_by() if sizes_by is not None else ()
+        if sizes and all(_differs(size, criteria) for size in sizes):
+            values = " and ".join(f"{s.name} = {s.other:.2g} instead of {s.value:.2g}" for s in sizes)
+            return f"has another size {where} ({values}), as what imitates voltages between the rows does"
+    return ""
 
 
-def _differs(size: SizeByObserver, criteria: SelectionCriteria) -> bool:
+def _differs(size: SizeByFit, criteria: SelectionCriteria) -> bool:
     """Return whether two fits of one size differ clearly, and by more than chance."""
-    smaller, larger = sorted((size.value, size.wide), key=abs)
+    smaller, larger = sorted((size.value, size.other), key=abs)
     if CLEAR * smaller * math.copysign(1.0, larger) >= abs(larger):
         return False
-    return abs(size.wide - size.value) > chance_deviations(criteria) * size.std()
+    return abs(size.other - size.value) > chance_deviations(criteria) * size.std()
 
 
 def _is_confirmed(gain: float, confirmed: float, criteria: SelectionCriteria) -> bool:

@@ -20,7 +20,7 @@ from hframe_gym.identification.judge.effect import (
     MachineBehavior,
     ParameterValue,
     Size,
-    SizeByObserver,
+    SizeByFit,
     TimingEvidence,
 )
 from hframe_gym.identification.judge.error import FitError
@@ -65,9 +65,9 @@ def by_chance(gain: float, ratio: float) -> Chance:
     return Chance(gain, LongRunVariance(ratio))
 
 
-def by_observer(value: float, wide: float, std: float) -> SizeByObserver:
-    """Return a size c with the observer of the search and with the widest one."""
-    return SizeByObserver("c", value, wide, lambda: std)
+def by_another(value: float, other: float, std: float) -> SizeByFit:
+    """Return a size c in the fit of the search and in another one."""
+    return SizeByFit("c", value, other, lambda: std)
 
 
 OTHER_SIZE = (
@@ -121,18 +121,26 @@ FORM = "adds 19 % to the force of drag@x, which depends on the same variable: th
         ({"beside_voltages": 49.0}, ""),  # twice what chance reaches
         ({"beside_voltages": 47.0}, BETWEEN_ROWS),
         (
-            {"sizes_by_observer": (by_observer(7.43e-4, 9.18e-4, 4.4e-5),)},
+            {"sizes_by_observer": (by_another(7.43e-4, 9.18e-4, 4.4e-5),)},
             "",
         ),  # a damping of belts that is there
-        ({"sizes_by_observer": (by_observer(7.2e-4, 4.18e-3, 4.1e-4),)}, OTHER_SIZE),  # one that is not
-        ({"sizes_by_observer": (by_observer(7.2e-4, 4.18e-3, 7.2e-4),)}, ""),  # not known better
+        ({"sizes_by_observer": (by_another(7.2e-4, 4.18e-3, 4.1e-4),)}, OTHER_SIZE),  # one that is not
+        ({"sizes_by_observer": (by_another(7.2e-4, 4.18e-3, 7.2e-4),)}, ""),  # not known better
         (
-            {"sizes_by_observer": (by_observer(-1.0, 1.0, 0.1),)},
+            {"sizes_by_observer": (by_another(-1.0, 1.0, 0.1),)},
             "has another size in fast errors (c = 1 instead of -1), "
             "as what imitates voltages between the rows does",
         ),
-        ({"sizes_by_observer": (by_observer(1.0, 9.0, 0.1), by_observer(1.0, 1.9, 0.1))}, ""),
+        ({"sizes_by_observer": (by_another(1.0, 9.0, 0.1), by_another(1.0, 1.9, 0.1))}, ""),
         ({"sizes_by_observer": ()}, ""),
+        # A damping of belts that is not there, and the friction by load of a pulley (random rigs).
+        (
+            {"sizes_by_instruments": (by_another(9.9e-4, 1.9e-4, 8.8e-5),)},
+            "has another size by instruments (c = 0.00019 instead of 0.00099), "
+            "as what imitates voltages between the rows does",
+        ),
+        ({"sizes_by_instruments": (by_another(0.1432, 0.1332, 2.8e-3),)}, ""),
+        ({"sizes_by_instruments": ()}, ""),
         ({"forces": Forces(0.202, 0.2)}, ""),
         (
             {"forces": Forces(0.198, 0.2), "forces_accurate": Forces(0.198, 0.1)},

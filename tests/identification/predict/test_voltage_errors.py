@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from hframe_gym.arrays import Array
+from hframe_gym.effects import get_effect
 from hframe_gym.identification import (
     Dataset,
     Fit,
@@ -21,6 +22,7 @@ from hframe_gym.identification import (
     prepare,
 )
 from hframe_gym.identification.budget import Budget
+from hframe_gym.identification.evidence.effect_parameters import sizes
 from hframe_gym.identification.evidence.held_out import worsens_simulation
 from hframe_gym.identification.fit.channel_errors import channel_errors
 from hframe_gym.identification.fit.covariance import with_uncertainty
@@ -32,6 +34,7 @@ from hframe_gym.identification.fit.slow_logs import (
     _equations_with_delay,
     _smoothed,
     deviations_of_fits,
+    fit_by_instruments,
     fit_slow_log,
 )
 from hframe_gym.identification.fit.voltage_updates import (
@@ -239,6 +242,19 @@ def test_instruments_weigh_a_pulley_that_least_squares_find_too_heavy() -> None:
     deviations = np.array([uncertainty.std(name) for name in ("x.mass", "phi.mass")], float)
     assert np.all(np.abs(masses - exact) < 3.0 * deviations)
     assert np.all(deviations < 0.05 * exact)
+
+
+def test_instruments_find_no_damping_of_belts_where_none_is() -> None:
+    """From a damping of 1 ms, ten steps suffice; that which least squares find depends on errors of the voltages."""
+    damped = least_squares().machine.with_effects(get_effect("belt_damping").at("belts", c=1e-3))
+    started = fit(damped, default_free_parameters(damped), with_errors(), SEARCH_BANDWIDTH, iterations=0)
+    assert started.values["belt_damping@belts.c"] == pytest.approx(1e-3)
+    found = fit_by_instruments(started, with_errors())
+    assert found is not None
+    (size,) = sizes(found.machine.effects[0], with_uncertainty(found, with_errors()))
+    assert abs(size.value) < 4.9 * size.std
+    assert size.std < 1e-4
+    assert fit_by_instruments(least_squares(), slow_log()) is None
 
 
 def test_parameters_lie_between_those_of_least_squares_and_of_instruments() -> None:
