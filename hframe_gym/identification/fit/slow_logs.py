@@ -448,8 +448,8 @@ def _step(fitted: Fit, theta: Array, equations: _Equations) -> tuple[Array, Arra
     slope = equations.gradient + prior @ theta
     step = bounded_step(fitted.free, theta, equations.information + prior, slope)
     values = zip(fitted.free, theta, strict=True)
-    sizes = [0.0 if free.scale is None else abs(free.value(t) / free.scale) for free, t in values]
-    longest = _LONGEST_STEP * np.maximum(sizes, 1.0)
+    sizes = [0.0 if free.scale is None else float(abs(free.value(t) / free.scale)) for free, t in values]
+    longest = _LONGEST_STEP * np.maximum(np.array(sizes), 1.0)
     return step / max(float(np.max(np.abs(step) / longest)), 1.0), slope
 
 
