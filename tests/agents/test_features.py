@@ -75,8 +75,8 @@ def test_features_of_a_rotary_axis_are_those_of_the_way_of_an_arm():
 
 def test_features_of_transfers_that_the_machine_lacks_are_refused():
     axis = BUILTIN_MACHINES["axis"]()
-    with pytest.raises(InputError, match=r"transfers are \[0, 27\]; machine 'axis' has those of 0 to 24"):
-        feature_parameters(axis, transfers=[0, 27])
+    with pytest.raises(InputError, match=r"transfers are \[0, 41\]; machine 'axis' has those of 0 to 40"):
+        feature_parameters(axis, transfers=[0, 41])
 
 
 @pytest.mark.parametrize("transfers", [[4, 0, 8], [0, 4, 4]])
