@@ -38,8 +38,10 @@ from .perturbations import (
 )
 
 _COLUMNS_AT_ONCE = 64  # simulated together: their forces stay in the processor's cache, and memory is bounded
-_MIMICKED = 1e-6  # fraction of a column's square below which the machine's parameters explain it entirely
-_RIDGE = 1e-9
+# Where this fraction of the square of a candidate's response or less is left by the machine's free parameters, these
+# reproduce it entirely.
+_REPRODUCED = 1e-6
+_RIDGE = 1e-9  # relative to the diagonal of the information; keeps equations solvable where two effects act alike
 
 
 class ScoredCandidate(NamedTuple):
@@ -48,7 +50,7 @@ class ScoredCandidate(NamedTuple):
     Attributes:
         candidate: Effect, site and starting values.
         gain: Predicted reduction of chi-squared, summed over all samples.
-        amounts: Weights of its basis functions (`Candidate.columns`) with which this reduction is reached,
+        amounts: Weight of each of its basis functions (`Candidate.columns`) with which this reduction is reached,
             dimensionless.
     """
 
@@ -73,23 +75,25 @@ class Resemblance(NamedTuple):
 class Screening:
     """Candidates of a fitted machine, beside the linearized residual that ranks them.
 
-    A candidate is a weighted sum of basis functions, such as sine and cosine. The residual is linearized with respect
-    to these weights and the machine's free parameters. The best weights and parameters follow from a linear equation.
+    A candidate is a weighted sum of basis functions, such as sine and cosine; the weights are called its amounts. The
+    residual is linearized with respect to amounts and the machine's free parameters, so that the best ones follow from
+    a linear equation.
 
     Attributes:
         fit: Fit of the machine without the candidates; they are evaluated at its observer bandwidth.
         data: Runs that were fitted.
         candidates: Effects, sites (components) and starting values to compare.
-        removed: Labels (name@site) of effects of the machine that may be removed.
+        removable: Labels (name@site) of effects of the machine of which it is known what their removal changes.
         compared: Labels of effects of the machine that the candidates may resemble.
-        equations: Products of the residual. Its perturbations are the removal of each effect in `removed`, in a machine
-            that is otherwise the same, then each effect in `compared`, then the basis functions of the candidates.
+        equations: Normal equations of the linearized residual. Besides derivatives by the free parameters, they have
+            responses, in this order: what the removal of each effect in `removable` changes in a machine that is
+            otherwise the same, then each effect in `compared`, then the basis functions of the candidates.
     """
 
     fit: Fit
     data: Dataset
     candidates: Sequence[Candidate]
-    removed: tuple[str, ...]
+    removable: tuple[str, ...]
     compared: tuple[str, ...]
     equations: NormalEquations
 
@@ -110,16 +114,16 @@ class Screening:
             candidates: Candidates, at least one.
             data: Runs that were fitted.
             without: By the label of an effect, the fitted machine without it. Default: none.
-            compared: Effects that the candidates may resemble, each with its parameters as the only column; they
-                neither add coordinates nor replace dry friction.
+            compared: Effects of the machine that the candidates may resemble, each with its parameters as the only
+                basis function. They neither add coordinates nor replace dry friction.
         """
         model, may_go_on, without = screening_model(fit, data), spender(), without or {}
-        own = [
+        of_compared = [
             machine._replace(step=_difference_step(effect))
             for effect in compared
             for machine in perturbed_machines(model.machine, [effect])
         ]
-        perturbed = [*own, *perturbed_machines(model.machine, candidates)]
+        perturbed = [*of_compared, *perturbed_machines(model.machine, candidates)]
 
         def responses(run: PreparedRecording, motion: Motion) -> Array:
             may_go_on()
@@ -151,7 +155,7 @@ class Screening:
             The other effects that do not need this one, as from `ranked`, and the reduction of chi-squared by the
             effect itself; no candidate and infinity if the machine without it diverges.
         """
-        equations = self.equations.with_added(self.removed.index(label))
+        equations = self.equations.with_added(self.removable.index(label))
         if not math.isfinite(equations.cost):
             return [], math.inf
         free = self._free_without(label)
@@ -173,9 +177,9 @@ class Screening:
         Returns:
             Each candidate effect and site once, without those that need the effect; the most similar one first.
         """
-        own = len(self.removed) + self.compared.index(label)
+        effect = len(self.removable) + self.compared.index(label)  # its index among the responses
         free = self._free_without(label)
-        equations = self.equations.of_some(self._kept(free), np.array([own, *self._of_candidates()]))
+        equations = self.equations.of_some(self._kept(free), np.array([effect, *self._of_candidates()]))
         ridge = np.diag(_RIDGE * np.diag(equations.information))
         products = equations.eliminate_parameters(prior_precision(free) + ridge).response_information
         size, found = float(products[0, 0]), dict[str, Resemblance]()
@@ -184,7 +188,9 @@ class Screening:
                 continue
             information = products[np.ix_(columns, columns)]
             before = np.diag(equations.response_information)[columns]
-            if not np.all(np.isfinite(information)) or not np.any(np.diag(information) > _MIMICKED * before):
+            if not np.all(np.isfinite(information)) or not np.any(
+                np.diag(information) > _REPRODUCED * before
+            ):
                 continue
             # The gradient of the cost of representing the effect's regressor, as for the residual.
             scored = _score(candidate, information, -products[columns, 0], before, 1.0)
@@ -221,8 +227,8 @@ class Screening:
         return np.array([f.name in names for f in self.fit.free], bool)
 
     def _of_candidates(self) -> NDArray[np.intp]:
-        """Return the indices of the candidates' basis functions among the perturbations."""
-        return np.arange(len(self.removed) + len(self.compared), len(self.equations.response_gradient))
+        """Return the indices of the candidates' basis functions among the responses."""
+        return np.arange(len(self.removable) + len(self.compared), len(self.equations.response_gradient))
 
     def _with_columns(self, first: int) -> Iterator[tuple[Candidate, NDArray[np.intp]]]:
         """Yield each candidate with the indices of its basis functions, which begin at the first."""
@@ -257,16 +263,17 @@ def screening_model(fit: Fit, data: Dataset) -> ResidualModel:
     )
 
 
-def _difference_step(own: Candidate) -> float:
-    """Return the fraction of an effect with which derivatives change predictions as much as with its typical size.
+def _difference_step(compared: Candidate) -> float:
+    """Return the fraction of an effect of the machine that is added to find its response by differences.
 
-    Friction that sticks and slips limits how accurately small changes are known: an error of an encoder, 4 % of the
-    typical one, had 3.5 times the response that it has.
+    The added part has the same size as that of a candidate, which is a fraction of the typical size. Friction that
+    sticks and slips limits how accurately smaller changes are known: to an error of an encoder of 4 % of the typical
+    one, the computed response was 3.5 times the true one.
     """
     ratios = [
-        abs(amplitude.scale * own.scales.get(amplitude.unit, 1.0) / value)
-        for amplitude in own.effect.parameters
-        if amplitude.amplitude and (value := own.columns[0][amplitude.name])
+        abs(parameter.scale * compared.scales.get(parameter.unit, 1.0) / value)
+        for parameter in compared.effect.parameters
+        if parameter.amplitude and (value := compared.columns[0][parameter.name])
     ]
     return DIFFERENCE_STEP * min(ratios, default=1.0)
 
@@ -327,13 +334,17 @@ def _parts(perturbed: Sequence[PerturbedMachine]) -> Iterator[list[PerturbedMach
 def _score(
     candidate: Candidate, information: Array, gradient: Array, before: Array, chi2: float
 ) -> ScoredCandidate:
-    """Return the cost that a candidate would save with its best admissible amounts.
+    """Return a candidate with the reduction of the cost by its best amounts within their bounds.
 
-    information and gradient are of its columns after elimination of the free parameters, `before` of those before it.
-    The cost per value of the present fit, chi2, scales the smoothness prior of tables.
+    Args:
+        candidate: Candidate of b basis functions.
+        information: Products of their responses, less what the free parameters reproduce of them, shape (b, b).
+        gradient: Half of the derivative of the cost by the amounts at 0, likewise, shape (b,).
+        before: Squares of the complete responses, shape (b,).
+        chi2: Chi-squared per sample of the fit, in whose units tables are required to be smooth.
     """
     nothing = ScoredCandidate(candidate, 0.0, (0.0,) * len(gradient))
-    if not np.all(np.isfinite(information)) or not np.any(np.diag(information) > _MIMICKED * before):
+    if not np.all(np.isfinite(information)) or not np.any(np.diag(information) > _REPRODUCED * before):
         return nothing
     ridge = _RIDGE * np.diag(np.maximum(np.diag(information), 1e-300))
     if candidate.effect.family == TABLE_FAMILY:

@@ -277,7 +277,7 @@ def replacement_fit(
         if no other effect promises (linearized) at least the fraction `linear_gain_ratio` of what the effect reduces
         the cost by, or if the effect cannot be removed.
     """
-    if label not in screened.screening.removed:
+    if label not in screened.screening.removable:
         return None
     data, (ranked, gain) = screened.screening.data, screened.screening.in_place_of(label)
     if not ranked or not judge.may_replace(ranked[0].gain, gain, criteria):
