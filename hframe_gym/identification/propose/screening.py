@@ -41,9 +41,8 @@ _COLUMNS_AT_ONCE = 64  # simulated together: their forces stay in the processor'
 # Where this fraction of the square of a candidate's response or less is left by the machine's free parameters, these
 # reproduce it entirely.
 _REPRODUCED = 1e-6
-_RIDGE = (
-    1e-9  # relative to the diagonal of the information; keeps equations solvable where two effects act alike
-)
+# Relative to the diagonal of the information; keeps equations solvable where two effects act alike.
+_RIDGE = 1e-9
 
 
 class ScoredCandidate(NamedTuple):
