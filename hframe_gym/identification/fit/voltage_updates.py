@@ -22,6 +22,7 @@ from ..judge.criteria import SelectionCriteria
 from ..judge.error import required_gain
 from ..judge.run import (
     UpdatesEvidence,
+    another_rate_explains_more,
     interpolation_suffices,
     may_change_between_rows,
     voltages_change_at_another_rate,
@@ -113,27 +114,28 @@ def other_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> Vo
 
 
 def _counted_again(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> VoltageUpdates | None:
-    """Return how often interpolated voltages change from one row to the next, None where that is not told."""
+    """Return another number of changes of interpolated voltages that the error confirms, None if there is none."""
     excess = excess_delay(fitted, data)
     if excess is None:
         return None
     deviation = math.hypot(excess.deviation, DELAY_STD)
-    if data.updates == _FEWEST_UPDATES and _act_as_late_as_held(excess, deviation):
-        changing = data.without_voltage_errors()
-        held, updated = (
-            continue_fit(fitted, each, SEARCH_BANDWIDTH) for each in (data.with_held_voltages(), changing)
-        )
-        if not _change(held, updated, changing, criteria):
-            return VoltageUpdates(1, held.chi2, held.chi2)
     # The largest number is where the count ends, and need not be close to an estimate.
     at_end = data.updates == most_updates(data)
     if not at_end and not voltages_change_at_another_rate(excess.periods, deviation):
         return None
-    per_row = count_updates(fitted, data, excess)
-    if at_end and not voltages_change_at_another_rate(0.5 / per_row - 0.5 / data.updates, deviation):
+    # Instruments need voltages that change; that these are held follows from the delay with the fewest changes.
+    per_row = _number_with_delay(0.5 / data.updates + excess.periods, 1, data.updates)
+    if (data.updates, per_row) != (_FEWEST_UPDATES, 1):
+        per_row = count_updates(fitted, data, excess)
+    if not voltages_change_at_another_rate(0.5 / per_row - 0.5 / data.updates, deviation):
         return None
-    counted = continue_fit(fitted, data.with_updates(per_row), fitted.bandwidth)
-    held = continue_fit(fitted, data.with_held_voltages(), SEARCH_BANDWIDTH)
+    # Held voltages are no interpolated ones, and have none of their errors.
+    known = data if per_row > 1 else data.without_voltage_errors()
+    bandwidth = fitted.bandwidth if per_row > 1 else SEARCH_BANDWIDTH
+    present, counted = (continue_fit(fitted, each, bandwidth) for each in (known, known.with_updates(per_row)))
+    if not another_rate_explains_more(present.error, counted.error, criteria):
+        return None
+    held = counted if per_row == 1 else continue_fit(fitted, data.with_held_voltages(), SEARCH_BANDWIDTH)
     return VoltageUpdates(per_row, held.chi2, counted.chi2)
 
 
@@ -159,7 +161,7 @@ def count_updates(fitted: Fit, data: Dataset, excess: ExcessDelay | None = None)
         return number
     excess = excess or excess_delay(fitted, data)
     while excess is not None:
-        nearest = _number_with_delay(0.5 / number + excess.periods, most)
+        nearest = _number_with_delay(0.5 / number + excess.periods, _FEWEST_UPDATES, most)
         if nearest == number:
             break
         # Where effects are missing, the estimate depends on the number itself, and the one beside may be better.
@@ -213,9 +215,9 @@ def _number_without_excess(fitted: Fit, data: Dataset, number: int, excess: Exce
     return min((beside, other), key=found.__getitem__)
 
 
-def _number_with_delay(periods: float, most: int) -> int:
+def _number_with_delay(periods: float, fewest: int, most: int) -> int:
     """Return the number of changes a row with which voltages act later by about that many sampling periods."""
-    return min(range(2, most + 1), key=lambda number: abs(0.5 / number - periods))
+    return min(range(fewest, most + 1), key=lambda number: abs(0.5 / number - periods))
 
 
 def voltage_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> VoltageUpdates:
@@ -258,18 +260,6 @@ def _change(held: Fit, changing: Fit, data: Dataset, criteria: SelectionCriteria
     error = dataclasses.replace(changing.error, floor=changing.floor + excess)
     evidence = UpdatesEvidence(held.error, error, float(np.mean(after < before)))
     return voltages_change_between_rows(evidence, criteria)
-
-
-def _act_as_late_as_held(excess: ExcessDelay, deviation: float) -> bool:
-    """Return whether voltages that change twice a row act so much later that they are rather held.
-
-    Args:
-        excess: What instruments find with two changes a row.
-        deviation: Standard deviation of this delay, the accuracy of the times of recordings included, dimensionless.
-    """
-    clear = voltages_change_at_another_rate(excess.periods, deviation)
-    halfway = 0.5 * (0.5 - 0.5 / _FEWEST_UPDATES)
-    return clear and excess.periods > halfway
 
 
 def can_show_updates(data: Dataset) -> bool:

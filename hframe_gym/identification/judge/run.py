@@ -112,15 +112,28 @@ def voltages_change_between_rows(evidence: UpdatesEvidence, criteria: SelectionC
 
 
 def voltages_change_at_another_rate(delay: float, deviation: float) -> bool:
-    """Return whether interpolated voltages change more or less often from row to row than a search has assumed.
-
-    The search then begins again with another number of changes.
+    """Return whether interpolated voltages may change more or less often from row to row than a search has assumed.
 
     Args:
         delay: By how much later the voltages act than this number says, in sampling periods, dimensionless.
         deviation: Standard deviation of this delay, the accuracy of the times of recordings included, dimensionless.
     """
     return abs(delay) > CLEAR_DELAY * deviation
+
+
+def another_rate_explains_more(present: FitError, other: FitError, criteria: SelectionCriteria) -> bool:
+    """Return whether a search begins again because voltages change at another rate from row to row than it assumed.
+
+    Whatever acts late moves the delay of the voltages, such as the inductance of a motor or a sensor, and missing
+    effects do. Only a number of changes that is closer to the truth leaves less of the error, by as much as an effect
+    must.
+
+    Args:
+        present: Error of a fit with the present number of changes.
+        other: Error of a fit with another number, of the same observer and with the same statistics.
+        criteria: Decision thresholds of `required_gain`.
+    """
+    return is_enough(present, other, required_gain(present, criteria))
 
 
 def interpolation_suffices(simulated: Array) -> bool:

@@ -270,6 +270,20 @@ def test_a_delay_within_the_accuracy_of_the_times_is_no_other_number(
     assert (updates and updates.per_row) == expected
 
 
+def test_a_number_that_leaves_no_less_error_is_no_other_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever acts late, such as the inductance of a motor, seems to make the changes fewer."""
+    data = slow_log(4).with_updates(4)
+    fitted = refitted(data)
+
+    def excess_delay(fitted: Fit, data: Dataset, start: ExcessDelay | None = None) -> ExcessDelay:
+        return ExcessDelay(0.25 - 0.5 / data.updates, 0.003, fitted.theta)
+
+    monkeypatch.setattr(voltage_updates_module, "excess_delay", excess_delay)
+    data = with_voltage_errors(fitted.machine, data)
+    assert voltage_updates_module.count_updates(fitted, data) == 2
+    assert other_updates(fitted, data, SelectionCriteria()) is None
+
+
 @pytest.mark.parametrize(
     ("excess", "expected"),
     [
