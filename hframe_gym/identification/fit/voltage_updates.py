@@ -119,20 +119,22 @@ def _counted_again(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> V
     if excess is None:
         return None
     deviation = math.hypot(excess.deviation, DELAY_STD)
+    clear = voltages_change_at_another_rate(excess.periods, deviation)
     # The largest number is where the count ends, and need not be close to an estimate.
-    at_end = data.updates == most_updates(data)
-    if not at_end and not voltages_change_at_another_rate(excess.periods, deviation):
+    if not clear and data.updates != most_updates(data):
         return None
-    # Instruments need voltages that change; that these are held follows from the delay with the fewest changes.
-    per_row = _number_with_delay(0.5 / data.updates + excess.periods, 1, data.updates)
-    if (data.updates, per_row) != (_FEWEST_UPDATES, 1):
-        per_row = count_updates(fitted, data, excess)
+    # Instruments need voltages that change; that they are held follows from the delay with the fewest changes.
+    nearest = _number_with_delay(0.5 / data.updates + excess.periods, 1, most_updates(data))
+    held_after_all = clear and (data.updates, nearest) == (_FEWEST_UPDATES, 1)
+    per_row = 1 if held_after_all else count_updates(fitted, data, excess)
     if not voltages_change_at_another_rate(0.5 / per_row - 0.5 / data.updates, deviation):
         return None
     # Held voltages are no interpolated ones, and have none of their errors.
     known = data if per_row > 1 else data.without_voltage_errors()
     bandwidth = fitted.bandwidth if per_row > 1 else SEARCH_BANDWIDTH
-    present, counted = (continue_fit(fitted, each, bandwidth) for each in (known, known.with_updates(per_row)))
+    present, counted = (
+        continue_fit(fitted, each, bandwidth) for each in (known, known.with_updates(per_row))
+    )
     if not another_rate_explains_more(present.error, counted.error, criteria):
         return None
     held = counted if per_row == 1 else continue_fit(fitted, data.with_held_voltages(), SEARCH_BANDWIDTH)

@@ -176,6 +176,17 @@ def test_the_voltages_are_counted_again_where_they_act_clearly_earlier_or_later(
 
 
 @pytest.mark.parametrize(
+    ("present", "other", "more"),
+    [(9.70, 9.40, False), (9.70, 8.80, True), (1.1, 1.095, False), (1.1, 1.08, True), (1.1, 1.2, False)],
+)
+def test_another_number_of_changes_leaves_less_by_as_much_as_an_effect_must(
+    present: float, other: float, more: bool
+) -> None:
+    errors = (FitError(1e5 * chi2, 1e5, 60.0, floor=1.08) for chi2 in (present, other))
+    assert judge.another_rate_explains_more(*errors, CRITERIA) is more
+
+
+@pytest.mark.parametrize(
     ("simulated", "suffices"),
     [((0.0, 0.4), True), ((0.0, 0.5), False), ((5.0, 0.1), False), ((np.nan,), False)],
 )
