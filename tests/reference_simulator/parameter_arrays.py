@@ -11,39 +11,17 @@ from numpy.typing import NDArray
 
 from tests.reference_simulator.rig import Array, Rig
 
+_DEFAULTS = {f.name: f.default for f in dataclasses.fields(Rig)}
+
+
+def _fields(length: int) -> list[str]:
+    """Return the fields of Rig that are tuples of a length."""
+    return [name for name, value in _DEFAULTS.items() if isinstance(value, tuple) and len(value) == length]
+
+
 # Fields of Rig by what they describe. Bodies beyond the four coordinates get zeros except for what they are made of.
-_OF_COORDINATE = [
-    f.name for f in dataclasses.fields(Rig) if isinstance(f.default, tuple) and len(f.default) == 4
-]
-_OF_DRIVE = ["drive_gain", "voltage_offset_V", "dead_band_V", "voltage_limit_V", "current_limit_A"]
-_OF_DRIVE += [
-    "electrical_lag_s",
-    "heating_loss",
-    "heating_s",
-    "current_ripple",
-    "current_ripple_order",
-    "load_friction",
-    "heating_ohm",
-    "torque_saturation_A",
-    "coasting_V",
-    "dead_time_V",
-    "dead_time_A",
-    "belt_creep",
-    "mesh_force_N",
-    "mesh_pitch_m",
-    "mesh_phase",
-]
-_SCALARS = ["belt_play_m", "belt_damping_s", "belt_pretension_N", "belt_hardening", "belt_energy_force"]
-_SCALARS += [
-    "belt_relaxation",
-    "belt_relaxation_s",
-    "mesh_tension_N",
-    "mesh_unloaded",
-    "supply_V",
-    "supply_ohm",
-    "supply_s",
-]
-_OF_STAGE = ["warm_up_s", *_SCALARS, "frame_w", "frame_zeta", "frame_ratio", "frame_ground"]
+_OF_COORDINATE, _OF_DRIVE = _fields(4), _fields(2)
+_OF_STAGE = [name for name, value in _DEFAULTS.items() if isinstance(value, int | float)]
 _DIVISORS = dict.fromkeys(
     (
         "stribeck_velocity",
@@ -67,7 +45,9 @@ DRIVE = np.dtype(
 LINK = np.dtype(
     [("first", "i8"), ("second", "i8"), ("stiffness", "f8"), ("viscous", "f8"), ("half_gap", "f8")]
 )
-STAGE = np.dtype([(name, "f8") for name in _OF_STAGE])
+STAGE = np.dtype(
+    [(name, "f8") for name in [*_OF_STAGE, "frame_w", "frame_zeta", "frame_ratio", "frame_ground"]]
+)
 # The nine belt sections of the 20th-order stage: lengths at x = y = 0, m (the paper's Table 4), the gradient of the
 # lengths with respect to x and y, and the extension rows over x, y and the travel of eight pulleys (eq. 25-34, with
 # signs that make K symmetric).
@@ -213,7 +193,7 @@ def _drives(rig: Rig, encoders: list[int]) -> NDArray[Any]:
 def _stage(rig: Rig) -> NDArray[Any]:
     """Return the parameters that belong to no single coordinate, shape (1,)."""
     stage = np.zeros(1, STAGE)
-    for name in ("warm_up_s", *_SCALARS):
+    for name in _OF_STAGE:
         stage[name] = getattr(rig, name)
     if rig.frame:
         hertz, zeta, ratio, stage["frame_ground"] = dataclasses.astuple(rig.frame)
