@@ -31,7 +31,7 @@ from .judge.criteria import SelectionCriteria
 from .report.assembly import build_result
 from .report.result import IdentificationResult
 from .search.checked_search import find_effects
-from .validate.evaluation import HeldOutTests, judged, unstable_motion, with_certain_effects
+from .validate.evaluation import HeldOutTests, describe_unstable_motion, judged, with_certain_effects
 from .validate.simpler_machines import no_worse, reserve_time_after_search
 
 _SILENT = (
@@ -111,7 +111,7 @@ def identify(
     certain = with_certain_effects(found.outcome, criteria, log)
     judgment = judged(tests.of(found.held_out).evaluate(certain), found.differing, log)
     delivered = no_worse(judgment, found.plain, log, budget)
-    if unstable := unstable_motion(delivered.evaluated):
+    if unstable := describe_unstable_motion(delivered.evaluated):
         log(unstable)
     outcome = delivered.evaluated.outcome
     remarks = (*found.remarks, *([unstable] if unstable else []), *delivered.remarks)

@@ -9,7 +9,6 @@ import numpy as np
 
 from ...machine import Machine
 from ...preparation.dataset import Dataset, PreparedRecording
-from ..evidence.tried_effects import SelectedEffect
 from ..fit.estimation import Fit, prediction_cost
 from ..fit.inverse_dynamics import force_error
 from ..fit.model_error import bandwidths_for
@@ -18,9 +17,10 @@ from ..judge.error import FitError
 from ..judge.run import HeldOutRun, contradicts
 from ..predict.prediction import POLISH_STEP, SEARCH_BANDWIDTH, SIMULATION, map_runs
 from ..predict.start_uncertainty import prediction_residuals
+from .tried_effects import SelectedEffect
 
 
-def held_out_gain(selected: SelectedEffect, machine: Machine, validation: Dataset, bandwidth: float) -> float:
+def held_out_gain(selected: SelectedEffect, machine: Machine, held_out: Dataset, bandwidth: float) -> float:
     """Return the fraction of the squared error of the held-out runs that one of several effects removes.
 
     The machine with all effects is compared with a copy without this effect, whose other parameters are equal. If the
@@ -32,17 +32,17 @@ def held_out_gain(selected: SelectedEffect, machine: Machine, validation: Datase
     Args:
         selected: Effect that the search selected.
         machine: Machine with all effects.
-        validation: Held-out runs, which were not fitted.
+        held_out: Held-out runs, which were not fitted.
         bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
 
     Returns:
         Fraction, dimensionless, at most 1; negative if the effect increases the error, as `error_reduction` defines it.
     """
     without = _machine_without(selected, machine)
-    gain = error_reduction(without, machine, validation, bandwidth)
+    gain = error_reduction(without, machine, held_out, bandwidth)
     simulated = None
     if bandwidth != SIMULATION:
-        simulated = partial(error_reduction, without, machine, validation, SIMULATION)
+        simulated = partial(error_reduction, without, machine, held_out, SIMULATION)
     return judge.gain_of_effect(gain, simulated)
 
 
@@ -53,7 +53,7 @@ def _machine_without(selected: SelectedEffect, machine: Machine) -> Machine:
     return machine.replace(effects=tuple(e for e in machine.effects if e.label != selected.effect.label))
 
 
-def error_reduction(without: Machine, machine: Machine, validation: Dataset, bandwidth: float) -> float:
+def error_reduction(without: Machine, machine: Machine, held_out: Dataset, bandwidth: float) -> float:
     """Return by which fraction a machine reduces the squared error of another: 1 - error^2 / error_without^2.
 
     The error is the root mean square prediction error in units of the sensors' noise. With the widest observer
@@ -78,14 +78,14 @@ def error_reduction(without: Machine, machine: Machine, validation: Dataset, ban
         for m in (without, machine)
     ]
     comparable = bandwidth == SEARCH_BANDWIDTH and on_sensors[0] == on_sensors[1]
-    forces = [force_error(m, validation) if comparable else None for m in (without, machine)]
+    forces = [force_error(m, held_out) if comparable else None for m in (without, machine)]
     if forces[0] is not None and forces[1] is not None:
         return 1.0 - (forces[1] / forces[0]) ** 2
-    costs = [prediction_cost(m, validation, bandwidth, longest_step=POLISH_STEP) for m in (without, machine)]
+    costs = [prediction_cost(m, held_out, bandwidth, longest_step=POLISH_STEP) for m in (without, machine)]
     return 1.0 - costs[1] / costs[0]
 
 
-def worsens_simulation(without: Machine, machine: Machine, validation: Dataset) -> bool:
+def worsens_simulation(without: Machine, machine: Machine, held_out: Dataset) -> bool:
     """Check whether a machine with effects simulates the held-out runs worse than the refitted machine without them.
 
     An observer hides slow errors, so that wrong effects may reduce the error of predictions and add up in a simulation.
@@ -95,21 +95,21 @@ def worsens_simulation(without: Machine, machine: Machine, validation: Dataset) 
     Args:
         without: Refitted machine without the effects.
         machine: Machine with all effects.
-        validation: Held-out runs.
+        held_out: Held-out runs.
 
     Returns:
         True if the ratio of the squared simulation errors, with effects / without effects, has a geometric mean over
         the runs above 1. In this mean, a single run with a large error of another cause counts little. A run on which
         both simulations diverge does not count.
     """
-    bandwidth, changes = bandwidths_for(validation)[-1], []
-    for run in validation.single_runs():
+    bandwidth, changes = bandwidths_for(held_out)[-1], []
+    for run in held_out.single_runs():
         costs = [prediction_cost(m, run, bandwidth, longest_step=POLISH_STEP) for m in (without, machine)]
         changes.append(np.log(costs[1]) - np.log(costs[0]) if np.isfinite(costs).any() else 0.0)
     return judge.worsens_simulation(changes)
 
 
-def is_excited(selected: SelectedEffect, machine: Machine, validation: Dataset, bandwidth: float) -> bool:
+def is_excited(selected: SelectedEffect, machine: Machine, held_out: Dataset, bandwidth: float) -> bool:
     """Check whether an effect changes the predictions of the held-out runs at all.
 
     Examples of effects that do not: a current limit that the held-out voltages never reach, or a constant force on a
@@ -118,7 +118,7 @@ def is_excited(selected: SelectedEffect, machine: Machine, validation: Dataset, 
     Args:
         selected: Effect that the search selected.
         machine: Machine with all effects.
-        validation: Held-out runs.
+        held_out: Held-out runs.
         bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
 
     Returns:
@@ -129,36 +129,36 @@ def is_excited(selected: SelectedEffect, machine: Machine, validation: Dataset, 
 
     def of_run(run: PreparedRecording) -> tuple[float, float]:
         errors = [
-            prediction_residuals(m, run, validation, bandwidth, longest_step=POLISH_STEP)
+            prediction_residuals(m, run, held_out, bandwidth, longest_step=POLISH_STEP)
             for m in (machine, without)
         ]
         return float(np.sum((errors[1] - errors[0]) ** 2)), float(np.sum(errors[0] ** 2))
 
-    change, error = np.sum(list(map_runs(of_run, validation)), axis=0)
+    change, error = np.sum(list(map_runs(of_run, held_out)), axis=0)
     return judge.is_excited(float(change), float(error))
 
 
 def shown_effects(
-    selected: Sequence[SelectedEffect], machine: Machine, validation: Dataset, bandwidth: float
+    selected: Sequence[SelectedEffect], machine: Machine, held_out: Dataset, bandwidth: float
 ) -> dict[str, judge.HeldOutEffect]:
     """Return what the held-out runs say about each of several effects, by its label.
 
     Args:
         selected: Effects that the search selected.
         machine: Machine with all effects.
-        validation: Held-out runs, which were not fitted.
+        held_out: Held-out runs, which were not fitted.
         bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
     """
     return {
         s.effect.label: judge.HeldOutEffect(
-            held_out_gain(s, machine, validation, bandwidth), is_excited(s, machine, validation, bandwidth)
+            held_out_gain(s, machine, held_out, bandwidth), is_excited(s, machine, held_out, bandwidth)
         )
         for s in selected
     }
 
 
 def contradicting_held_out_runs(
-    after: Fit, before: Machine, selected: Sequence[SelectedEffect], validation: Dataset
+    after: Fit, before: Machine, selected: Sequence[SelectedEffect], held_out: Dataset
 ) -> tuple[str, ...]:
     """Find the held-out runs that a fitted machine explains far worse than the runs that it was fitted to.
 
@@ -169,7 +169,7 @@ def contradicting_held_out_runs(
         after: Fit of the machine with the selected effects.
         before: Refitted machine without effects.
         selected: The selected effects.
-        validation: Held-out runs.
+        held_out: Held-out runs.
 
     Returns:
         Names of the runs that contradict (`judge.run.contradicts`), at the observer bandwidth of the fit.
@@ -184,4 +184,4 @@ def contradicting_held_out_runs(
 
         return HeldOutRun(FitError(cost, run.count), after.chi2, gains if selected else None)
 
-    return tuple(run.runs[0].name for run in validation.single_runs() if contradicts(shown_by(run)))
+    return tuple(run.runs[0].name for run in held_out.single_runs() if contradicts(shown_by(run)))

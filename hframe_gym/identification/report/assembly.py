@@ -68,7 +68,7 @@ def build_result(
         design_discriminating_experiment(after, corrected, s.effect.label, s.rival_effects, refined)
         for s in selected
     )
-    validation = evaluated.validation
+    held_out = evaluated.held_out
     part = representative_part(data, before.machine, size=budget.session_part * NORMAL_SESSION)
     drives = drive_force(corrected, data)
     unfinished = (
@@ -80,29 +80,29 @@ def build_result(
         before=evaluated.before,
         after=dataclasses.replace(evaluated.after, machine=corrected),
         effects=selected,
-        gains={s.effect.label: held_out_gain(s, corrected, validation, after.bandwidth) for s in selected},
-        considered=tuple(_rejected(c, data, validation, after.bandwidth) for c in outcome.considered),
+        gains={s.effect.label: held_out_gain(s, corrected, held_out, after.bandwidth) for s in selected},
+        considered=tuple(_rejected(c, data, held_out, after.bandwidth) for c in outcome.considered),
         sizes={s.effect.label: effect_force(corrected, s.effect, data) / drives for s in selected},
         dependence=()
         if differences.explain
         else tuple(rank_dependences(before.machine, part)[:_MAX_DEPENDENCES]),
-        white=bool(white_sensors(corrected, validation).all()),
+        white=bool(white_sensors(corrected, held_out).all()),
         fitted=data,
-        held_out=validation,
+        held_out=held_out,
         seconds=0.0,
         experiment=next(filter(None, experiments), None),
         criteria=evaluated.test.criteria,
         excluded=(
             *remarks,
             *differences.sentences,
-            *_unexcited_effects(selected, corrected, validation, after.bandwidth),
+            *_unexcited_effects(selected, corrected, held_out, after.bandwidth),
             *found.messages,
         ),
         contradicting=found.differing,
         reason=evaluated.reason,
         unfinished=unfinished,
         plain=delivered.plain,
-        unknown_voltages=_unknown_voltages(corrected, validation, after),
+        unknown_voltages=_unknown_voltages(corrected, held_out, after),
         unstable=unstable,
     )
     return dataclasses.replace(result, hint=_hint(result))
@@ -142,14 +142,12 @@ def _hint(result: IdentificationResult) -> Hint | None:
     )
 
 
-def _rejected(
-    entry: ConsideredEffect, data: Dataset, validation: Dataset, bandwidth: float
-) -> RejectedEffect:
+def _rejected(entry: ConsideredEffect, data: Dataset, held_out: Dataset, bandwidth: float) -> RejectedEffect:
     """Return a rejected effect with its size and its gain on the held-out runs."""
     return RejectedEffect(
         entry.effect,
         effect_force(entry.machine, entry.effect, data) / drive_force(entry.machine, data),
-        error_reduction(entry.machine_without, entry.machine, validation, bandwidth),
+        error_reduction(entry.machine_without, entry.machine, held_out, bandwidth),
         entry.reason,
     )
 

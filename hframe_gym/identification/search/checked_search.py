@@ -155,12 +155,12 @@ def find_effects(
 
 
 def _with_input_timing(
-    outcome: SearchOutcome, validation: Dataset, criteria: SelectionCriteria, log: Log, budget: Budget
+    outcome: SearchOutcome, held_out: Dataset, criteria: SelectionCriteria, log: Log, budget: Budget
 ) -> SearchOutcome:
     """Return an outcome with a delay or lag of the drives if there is one; as it is where the budget ends before."""
     try:
         with budget.limiting(LAST_STAGE_END):
-            return with_input_timing(outcome, validation, criteria, log)
+            return with_input_timing(outcome, held_out, criteria, log)
     except BudgetEndedError:
         return outcome._replace(unfinished=outcome.unfinished or "searching for a delay or lag of the drives")
 
@@ -207,16 +207,16 @@ def _search_and_check(
     rejected: dict[int, int] = {}
     selected: tuple[SelectedEffect, ...] = ()  # by a search that assumed other voltages
     while True:
-        fitted, validation, messages = runs.fitted, runs.held_out, runs.messages
+        fitted, held_out, messages = runs.fitted, runs.held_out, runs.messages
         if updates.per_row > 1:
             commands = machine.commands_in_words
             changes = updates.describe(commands, fitted.period)
             log(f"{changes}; they are interpolated")
-            fitted, validation = interpolated(
+            fitted, held_out = interpolated(
                 responding,
                 updates.per_row,
                 fitted,
-                validation,
+                held_out,
                 log,
                 fitted_with_errors=fitted_with_errors,
                 agreeing=[run.name for run in agreeing.runs],
@@ -234,12 +234,12 @@ def _search_and_check(
             log(
                 f"  the plain fit ended after {plain.seconds:.0f} s of processor time, its part of the budget"
             )
-        before_search(plain, fitted, validation)
+        before_search(plain, fitted, held_out)
         try:
             found = _search(
                 machine,
                 fitted,
-                validation,
+                held_out,
                 all_rows,
                 plain,
                 selected,
@@ -473,7 +473,7 @@ def _hint(found: CheckedOutcome, exchanged: CheckedOutcome) -> str:
     return _HINT.format(effects, ", ".join(found.differing))
 
 
-def without_unconfirmed(outcome: SearchOutcome, validation: Dataset, log: Log) -> SearchOutcome:
+def without_unconfirmed(outcome: SearchOutcome, held_out: Dataset, log: Log) -> SearchOutcome:
     """Remove effects that do not reduce the error of the held-out runs, weakest first.
 
     The held-out runs can only remove an effect here, never add or change one. An effect that they do not excite is
@@ -482,13 +482,13 @@ def without_unconfirmed(outcome: SearchOutcome, validation: Dataset, log: Log) -
 
     Args:
         outcome: Outcome of a search.
-        validation: Held-out runs that do not contradict the fitted ones.
+        held_out: Held-out runs that do not contradict the fitted ones.
         log: Called with a line of text for each effect that is removed.
     """
     before, data = outcome.before, outcome.data
-    while outcome.selected and validation.runs:
+    while outcome.selected and held_out.runs:
         after, selected = outcome.after, outcome.selected
-        runs = refine_dataset(validation, after.machine, data)
+        runs = refine_dataset(held_out, after.machine, data)
         shown = shown_effects(selected, after.machine, runs, outcome.bandwidth)
         refuted, reason = refuted_effects(
             shown, partial(worsens_simulation, before.machine, after.machine, runs)

@@ -41,7 +41,7 @@ _RATE = SEARCH_BANDWIDTH * LONGEST_OBSERVER_PERIOD
 
 
 def with_input_timing(
-    outcome: SearchOutcome, validation: Dataset, criteria: SelectionCriteria, log: Log
+    outcome: SearchOutcome, held_out: Dataset, criteria: SelectionCriteria, log: Log
 ) -> SearchOutcome:
     """Add a delay or lag of the drives to the effects that a search found, if the fitted runs confirm it.
 
@@ -59,7 +59,7 @@ def with_input_timing(
 
     Args:
         outcome: Outcome of a search, after the held-out runs have confirmed its effects.
-        validation: Held-out runs that do not contradict the fitted ones.
+        held_out: Held-out runs that do not contradict the fitted ones.
         log: Called with a line of text for an effect that is tried.
 
     Returns:
@@ -94,7 +94,7 @@ def with_input_timing(
         confirmed=lambda: leave_one_out_gain(current, best, data),
         confirmed_accurate=lambda: refitted_leave_one_out_gain(current, best, data),
         fault=lambda: plausibility_fault(best.machine),
-        held_out_gain=lambda: _held_out_gain(best, refine_dataset(validation, best.machine, data)),
+        held_out_gain=lambda: _held_out_gain(best, refine_dataset(held_out, best.machine, data)),
     )
     doubt = doubt_about_timing(evidence, criteria)
     if doubt:
@@ -126,13 +126,13 @@ def _trials(current: Fit, data: Dataset) -> Iterator[Fit]:
             yield fit_with_candidate(current, scored, state.scales, data)
 
 
-def _held_out_gain(best: Fit, validation: Dataset) -> float:
+def _held_out_gain(best: Fit, held_out: Dataset) -> float:
     """Return the fraction of the error of the held-out runs that the last effect removes; infinite without runs.
 
     Every run that moves excites a delay, so that none is kept because it changes the held-out runs too little to tell:
     a delay of 4 us, which imitated a small part of a missing force, had been named.
     """
-    if not validation.runs:
+    if not held_out.runs:
         return math.inf
     machine = best.machine
-    return error_reduction(machine.replace(effects=machine.effects[:-1]), machine, validation, best.bandwidth)
+    return error_reduction(machine.replace(effects=machine.effects[:-1]), machine, held_out, best.bandwidth)

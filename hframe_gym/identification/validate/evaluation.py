@@ -122,7 +122,7 @@ class HeldOutTest:
     )
 
     @cached_property
-    def validation(self) -> Dataset:
+    def complete_runs(self) -> Dataset:
         """Held-out runs with the measurements at the ends of sensors' ranges too, which a fit leaves out."""
         return with_all_measurements(self.held_out, self.session.usable)
 
@@ -145,7 +145,7 @@ class HeldOutTest:
                 again = known.errors.machine.replace(name=named.name, uncertainty=named.uncertainty)
                 return dataclasses.replace(known.errors, machine=again)
         began = time.process_time()
-        errors = evaluate_held_out(named, fitted, self.validation, self.session.recordings, self.criteria)
+        errors = evaluate_held_out(named, fitted, self.complete_runs, self.session.recordings, self.criteria)
         self._known.append(_KnownErrors(moving, reference, errors, time.process_time() - began))
         return errors
 
@@ -168,13 +168,13 @@ class HeldOutTest:
             fitted: Runs that it was fitted to.
             names: Names of the held-out runs that count. Default: all.
         """
-        if self.validation.has_voltage_errors:
+        if self.complete_runs.has_voltage_errors:
             return None
-        names = tuple(names) or tuple(run.name for run in self.validation.runs)
+        names = tuple(names) or tuple(run.name for run in self.complete_runs.runs)
         for known, runs, found in self._motions:
             if runs == names and known == model.machine:
                 return found
-        data = self.validation.with_runs(names)
+        data = self.complete_runs.with_runs(names)
         enlarged, motion = enlargement(model.machine, data, JUDGING_BANDWIDTH), None
         if is_unstable(enlarged, self.criteria):
             motion = UnstableMotion(enlarged, largest(predictions_by_run(model, data, fitted)))
@@ -254,9 +254,9 @@ class Evaluated(NamedTuple):
     reason: str = ""
 
     @property
-    def validation(self) -> Dataset:
+    def held_out(self) -> Dataset:
         """Held-out runs with the initial states that follow from the machine with the effects."""
-        return refine_dataset(self.test.validation, self.after.machine, self.outcome.data)
+        return refine_dataset(self.test.complete_runs, self.after.machine, self.outcome.data)
 
 
 class Judged(NamedTuple):
@@ -323,7 +323,7 @@ def _contradiction(evaluated: Evaluated, differing: Sequence[str]) -> str:
     return contradiction_of_no_effect(evidence, criteria)
 
 
-def unstable_motion(evaluated: Evaluated) -> str:
+def describe_unstable_motion(evaluated: Evaluated) -> str:
     """Say that the motion of the held-out runs is unstable, and what the errors of simulations mean there.
 
     Args:
@@ -356,12 +356,12 @@ def _with_ranges(evaluated: Evaluated) -> Evaluated:
 
 def _evidence(evaluated: Evaluated, differing: Sequence[str]) -> VerdictEvidence:
     """Return what the held-out runs that do not contradict the fitted ones say; all of them if all contradict."""
-    validation = evaluated.test.validation
+    held_out = evaluated.test.complete_runs
     agreeing = _agreeing(evaluated, differing)
 
-    expected = validation.noise
-    if validation.has_voltage_errors:
-        runs = validation.with_runs([run.name for run in agreeing])
+    expected = held_out.noise
+    if held_out.has_voltage_errors:
+        runs = held_out.with_runs([run.name for run in agreeing])
         expected = np.hypot(expected, simulation_error(evaluated.after.machine, runs))
 
     def errors(model: ModelEvaluation) -> PredictionErrors:
@@ -386,26 +386,26 @@ def _evidence(evaluated: Evaluated, differing: Sequence[str]) -> VerdictEvidence
         motion=0.0 if math.isnan(motion) else motion,  # nothing moves
         lacking=finite(after.lacking),
         remaining_prediction=_remaining_prediction(evaluated, quiet, JUDGING_BANDWIDTH),
-        voltages_known=not validation.has_voltage_errors,
+        voltages_known=not held_out.has_voltage_errors,
         predicted=1.0
-        if names or not validation.has_voltage_errors
+        if names or not held_out.has_voltage_errors
         else _predicted(evaluated, quiet, JUDGING_BANDWIDTH, SEARCH_BANDWIDTH),
         unstable=unstable,
     )
 
 
-def _predicted(evaluated: Evaluated, validation: Dataset, *bandwidths: float) -> float:
+def _predicted(evaluated: Evaluated, held_out: Dataset, *bandwidths: float) -> float:
     """Return chi-squared per sample of the predictions, the largest one of some observers."""
     return max(
-        prediction_cost(evaluated.after.machine, validation, bandwidth, longest_step=POLISH_STEP)
-        / validation.count
+        prediction_cost(evaluated.after.machine, held_out, bandwidth, longest_step=POLISH_STEP)
+        / held_out.count
         for bandwidth in bandwidths
     )
 
 
 def _agreeing(evaluated: Evaluated, differing: Sequence[str]) -> list[PreparedRecording]:
     """Return the held-out runs that do not contradict the fitted ones; all of them if all contradict."""
-    runs = evaluated.test.validation.runs
+    runs = evaluated.test.complete_runs.runs
     return [run for run in runs if run.name not in differing] or list(runs)
 
 
@@ -415,17 +415,16 @@ def _quiet(evaluated: Evaluated, runs: Sequence[PreparedRecording]) -> Dataset:
     Jitter of the clock is an estimate from the motion, and a sensor that repeats its measurements may be mistaken for
     it. So may what unknown voltages between the rows do, which counts by their own statistics, in units of this noise.
     """
-    validation = evaluated.validation.with_runs([run.name for run in runs])
+    held_out = evaluated.held_out.with_runs([run.name for run in runs])
     quiet = [
-        dataclasses.replace(r, noise=np.broadcast_to(validation.noise, r.noise.shape))
-        for r in validation.runs
+        dataclasses.replace(r, noise=np.broadcast_to(held_out.noise, r.noise.shape)) for r in held_out.runs
     ]
-    data = dataclasses.replace(validation, runs=tuple(quiet))
+    data = dataclasses.replace(held_out, runs=tuple(quiet))
     return with_voltage_errors(evaluated.before.machine, data) if data.has_voltage_errors else data
 
 
 def _remaining_prediction(
-    evaluated: Evaluated, validation: Dataset, bandwidth: float, floor: float = 1.0
+    evaluated: Evaluated, held_out: Dataset, bandwidth: float, floor: float = 1.0
 ) -> float:
     """Return the fraction of the squared prediction error that effects leave, beyond that of an exact machine.
 
@@ -433,7 +432,7 @@ def _remaining_prediction(
     enough that its errors do not add up over the run, where parameters fitted beside a wrong effect compensate for it.
     """
     after, before = (
-        prediction_cost(model.machine, validation, bandwidth, longest_step=POLISH_STEP) / validation.count
+        prediction_cost(model.machine, held_out, bandwidth, longest_step=POLISH_STEP) / held_out.count
         for model in (evaluated.after, evaluated.before)
     )
     return remaining(after, before, floor)
@@ -443,22 +442,22 @@ def _with_fast_error(
     evidence: VerdictEvidence, evaluated: Evaluated, differing: Sequence[str]
 ) -> VerdictEvidence:
     """Return the evidence with what effects leave of fast errors, and whether they remove what they should."""
-    validation = _quiet(evaluated, _agreeing(evaluated, differing))
-    floor = innovation_variance(evaluated.after.machine, validation, SEARCH_BANDWIDTH)[0]
+    held_out = _quiet(evaluated, _agreeing(evaluated, differing))
+    floor = innovation_variance(evaluated.after.machine, held_out, SEARCH_BANDWIDTH)[0]
     return dataclasses.replace(
         evidence,
-        remaining_fast=_remaining_prediction(evaluated, validation, SEARCH_BANDWIDTH, floor),
+        remaining_fast=_remaining_prediction(evaluated, held_out, SEARCH_BANDWIDTH, floor),
         reduction=_reduction(evaluated, differing),
     )
 
 
 def _reduction(evaluated: Evaluated, differing: Sequence[str]) -> float:
     """Return by how much effects reduce the squared error of predictions / by how much they do if they are right."""
-    validation = _quiet(evaluated, _agreeing(evaluated, differing))
+    held_out = _quiet(evaluated, _agreeing(evaluated, differing))
     removed = right = 0.0
-    for run in validation.runs:
+    for run in held_out.runs:
         before, after = (
-            prediction_residuals(model.machine, run, validation, JUDGING_BANDWIDTH, longest_step=POLISH_STEP)
+            prediction_residuals(model.machine, run, held_out, JUDGING_BANDWIDTH, longest_step=POLISH_STEP)
             for model in (evaluated.before, evaluated.after)
         )
         removed += float(np.sum(before**2) - np.sum(after**2))

@@ -345,7 +345,7 @@ def _predicted_ratio(
     test, fitted = evaluated.test, evaluated.outcome.data
     if test.unstable_motion(reference, fitted) is None:
         return None
-    errors, others = (predictions_by_run(m, test.validation, fitted) for m in (model, reference))
+    errors, others = (predictions_by_run(m, test.complete_runs, fitted) for m in (model, reference))
     return float(np.nanmean(errors) / np.nanmean(others))
 
 

@@ -317,7 +317,7 @@ def test_a_run_with_another_gain_does_not_hide_changes_between_the_rows() -> Non
     runs = [*(every(controlled(seed), 4) for seed in range(3)), bad]
     found: list[Dataset] = []
 
-    def begin(plain: object, fitted: Dataset, validation: Dataset) -> None:
+    def begin(plain: object, fitted: Dataset, held_out: Dataset) -> None:
         found.append(fitted)
         raise _BegunError
 

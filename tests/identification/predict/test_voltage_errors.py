@@ -119,7 +119,7 @@ def test_the_exact_machine_leaves_white_residuals_with_the_variance_of_noise() -
 
 def test_held_out_runs_count_unknown_voltages_in_units_of_the_noise_at_rest() -> None:
     """These voltages pass for jitter, which makes the noise larger; the exact machine must not seem wrong for that."""
-    evaluated: Any = SimpleNamespace(validation=with_errors(), before=SimpleNamespace(machine=AXIS))
+    evaluated: Any = SimpleNamespace(held_out=with_errors(), before=SimpleNamespace(machine=AXIS))
     assert with_errors().jitter > 0.0
     quiet = _quiet(evaluated, with_errors().runs)
     assert (

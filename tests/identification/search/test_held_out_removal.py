@@ -67,9 +67,9 @@ def test_an_effect_that_held_out_runs_deny_is_removed(
 ) -> None:
     """Without the last effect the verdict says whether the refitted machine explains the data."""
     pushed = axis.with_effects(EFFECTS["constant_force"].at("x", size=0.3))
-    data, validation = prepare([recorded(pushed, 0)], axis), prepare([recorded(axis, 1)], axis)
+    data, held_out = prepare([recorded(pushed, 0)], axis), prepare([recorded(axis, 1)], axis)
     before, outcome = outcome_with_force(axis, data, 0.3, before_explains)
-    removed = without_unconfirmed(outcome, validation, lambda line: None)
+    removed = without_unconfirmed(outcome, held_out, lambda line: None)
     assert removed.verdict == verdict
     assert removed.selected == ()
     assert removed.after is before
@@ -114,9 +114,9 @@ def test_inputs_that_act_later_are_no_doubt_about_a_lag(
 
 def test_an_effect_that_held_out_runs_confirm_stays(axis: Machine) -> None:
     pushed = axis.with_effects(EFFECTS["constant_force"].at("x", size=0.3))
-    data, validation = prepare([recorded(pushed, 0)], axis), prepare([recorded(pushed, 1)], axis)
+    data, held_out = prepare([recorded(pushed, 0)], axis), prepare([recorded(pushed, 1)], axis)
     _, outcome = outcome_with_force(axis, data, 0.3, False)
-    assert without_unconfirmed(outcome, validation, lambda line: None) == outcome
+    assert without_unconfirmed(outcome, held_out, lambda line: None) == outcome
 
 
 @pytest.mark.parametrize(("hidden", "contradicting"), [(0.0, ()), (0.9, ("run_1",))])
@@ -126,10 +126,10 @@ def test_a_held_out_run_whose_error_an_effect_causes_does_not_contradict(
     """A constant force that only the fitted run has spoils the other run; a larger one there is not its fault."""
     force = EFFECTS["constant_force"]
     pushed, other = (axis.with_effects(force.at("x", size=size)) for size in (0.3, hidden))
-    data, validation = prepare([recorded(pushed, 0)], axis), prepare([recorded(other, 1)], axis)
+    data, held_out = prepare([recorded(pushed, 0)], axis), prepare([recorded(other, 1)], axis)
     _, outcome = outcome_with_force(axis, data, 0.3, False)
-    assert contradicting_held_out_runs(outcome.after, outcome.before.machine, (), validation) == ("run_1",)
-    assert _contradicting_runs(outcome, validation) == contradicting
+    assert contradicting_held_out_runs(outcome.after, outcome.before.machine, (), held_out) == ("run_1",)
+    assert _contradicting_runs(outcome, held_out) == contradicting
 
 
 def outcome_with_spurious_friction(axis: Machine) -> tuple[SearchOutcome, Dataset]:
@@ -137,22 +137,22 @@ def outcome_with_spurious_friction(axis: Machine) -> tuple[SearchOutcome, Datase
 
     The refitted machine has neither error.
     """
-    data, validation = prepare([recorded(axis, 0)], axis), prepare([recorded(axis, 1)], axis)
+    data, held_out = prepare([recorded(axis, 0)], axis), prepare([recorded(axis, 1)], axis)
     before = fit(axis, default_free_parameters(axis), data, SIMULATION)
     friction = EFFECTS["tustin_friction"].at("x", dF=0.25, vs=10.0)
     after = dataclasses.replace(before, machine=axis.replace({"x.coulomb": 0.7}).with_effects(friction))
     selected = (SelectedEffect(friction, 1.0, axis),)
-    return SearchOutcome(before, False, True, "effect_found", after, selected, (), data), validation
+    return SearchOutcome(before, False, True, "effect_found", after, selected, (), data), held_out
 
 
 def test_effects_that_worsen_the_simulation_of_held_out_runs_are_removed(axis: Machine) -> None:
     """The effect reduces the error of Coulomb friction that was fitted too low; the refitted machine needs none."""
-    outcome, validation = outcome_with_spurious_friction(axis)
+    outcome, held_out = outcome_with_spurious_friction(axis)
     before, after = outcome.before.machine, outcome.after.machine
-    assert held_out_gain(outcome.selected[0], after, validation, SIMULATION) > 0.5
-    assert worsens_simulation(before, after, validation)
-    assert not worsens_simulation(after, before, validation)
-    removed = without_unconfirmed(outcome, validation, lambda line: None)
+    assert held_out_gain(outcome.selected[0], after, held_out, SIMULATION) > 0.5
+    assert worsens_simulation(before, after, held_out)
+    assert not worsens_simulation(after, before, held_out)
+    removed = without_unconfirmed(outcome, held_out, lambda line: None)
     assert (removed.verdict, removed.selected) == ("unexplained", ())
     reason = (
         "reduces the error of the held-out runs, but they are simulated worse with it than without effects"
@@ -162,9 +162,9 @@ def test_effects_that_worsen_the_simulation_of_held_out_runs_are_removed(axis: M
 
 def test_a_run_that_the_effects_together_spoil_does_not_contradict(axis: Machine) -> None:
     """The effect reduces the error of the machine that was fitted with it; the machine refitted without it has none."""
-    outcome, validation = outcome_with_spurious_friction(axis)
-    assert contradicting_held_out_runs(outcome.after, outcome.before.machine, (), validation) == ("run_1",)
-    assert _contradicting_runs(outcome, validation) == ()
+    outcome, held_out = outcome_with_spurious_friction(axis)
+    assert contradicting_held_out_runs(outcome.after, outcome.before.machine, (), held_out) == ("run_1",)
+    assert _contradicting_runs(outcome, held_out) == ()
 
 
 def test_of_two_refuted_effects_the_one_that_requires_the_other_is_removed_first(axis: Machine) -> None:
@@ -174,14 +174,14 @@ def test_of_two_refuted_effects_the_one_that_requires_the_other_is_removed_first
         for name, rate in (("cogging", 4.0), ("second_cogging", 8.0))
     )
     cogged = axis.with_effects(cogging, overtone)
-    data, validation = prepare([recorded(cogged, 0)], axis), prepare([recorded(axis, 1)], axis)
+    data, held_out = prepare([recorded(cogged, 0)], axis), prepare([recorded(axis, 1)], axis)
     before = fit(axis, default_free_parameters(axis), data, SIMULATION)
     after = fit(cogged, default_free_parameters(axis), data, SIMULATION, iterations=1)
     assert without_effect(after, cogging.label, data, before.machine) is None
     selected = tuple(SelectedEffect(e, 1.0, axis).with_values(after.machine) for e in cogged.effects)
     outcome = SearchOutcome(before, True, True, "effect_found", after, selected, (), data)
     lines: list[str] = []
-    removed = without_unconfirmed(outcome, validation, lines.append)
+    removed = without_unconfirmed(outcome, held_out, lines.append)
     assert removed.selected == ()
     assert [line.split()[0] for line in lines] == [overtone.label, cogging.label]
 

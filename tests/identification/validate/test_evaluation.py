@@ -206,8 +206,8 @@ def test_right_effects_remove_the_square_of_what_they_change(
     data = prepare([Recording("run", time_s, volts, readings + rng.normal(0.0, 2e-6, readings.shape))], AXIS)
     named = AXIS.with_effects(cogging.at("motor", A=size, n=40.0, p=0.0))
     evaluated: Any = SimpleNamespace(
-        test=SimpleNamespace(validation=data),
-        validation=data,
+        test=SimpleNamespace(complete_runs=data),
+        held_out=data,
         before=SimpleNamespace(machine=AXIS),
         after=SimpleNamespace(machine=named),
     )

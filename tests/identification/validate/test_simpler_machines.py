@@ -44,7 +44,7 @@ class HeldOutRuns:
     criteria: SelectionCriteria = dataclasses.field(default_factory=SelectionCriteria)
     explaining: AppliedEffect | None = None
     predicted: dict[tuple[str, ...], float] = dataclasses.field(default_factory=dict)
-    validation: Any = None
+    complete_runs: Any = None
 
     def explains_unstable_motion(self, model: ModelEvaluation, fitted: object) -> bool:
         return self.explaining in model.machine.effects

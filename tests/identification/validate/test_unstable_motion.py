@@ -55,19 +55,19 @@ def test_a_note_says_that_simulations_say_nothing(
     said: bool,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    validation: Any = SimpleNamespace(
+    held_out: Any = SimpleNamespace(
         has_voltage_errors=not voltages_known,
         runs=(SimpleNamespace(name="run"),),
         with_runs=lambda names: None,
     )
     session: Any = SimpleNamespace(usable=None)
-    monkeypatch.setattr(evaluation, "with_all_measurements", lambda held_out, usable: validation)
+    monkeypatch.setattr(evaluation, "with_all_measurements", lambda data, usable: held_out)
     monkeypatch.setattr(evaluation, "enlargement", lambda machine, data, bandwidth: enlarged)
     monkeypatch.setattr(evaluation, "predictions_by_run", lambda *_: np.array([[predicted]]))
-    test = evaluation.HeldOutTest(session, validation, SelectionCriteria())
+    test = evaluation.HeldOutTest(session, held_out, SelectionCriteria())
     after = SimpleNamespace(held_out=SimpleNamespace(noise_ratio=left), machine=AXIS)
     evaluated: Any = SimpleNamespace(outcome=SimpleNamespace(data=None), test=test, after=after)
-    sentence = evaluation.unstable_motion(evaluated)
+    sentence = evaluation.describe_unstable_motion(evaluated)
     assert bool(sentence) == said
     assert ("grows by a factor of 161" in sentence) == said
 
