@@ -223,9 +223,9 @@ class PreparedRecording:
         return model_initial_states(machine, [self.initial])[0]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Dataset:
-    """Prepared recordings of one rig.
+    """Prepared recordings of one rig; two data sets are equal only if they are the same object.
 
     Attributes:
         runs: The recordings.

@@ -29,7 +29,15 @@ SPRING = EFFECTS["cable_spring"].at("x", k=6.0, q0=0.05)
 STRIBECK = EFFECTS["stribeck_friction"].at("x", dF=3.0, vs=0.04)
 FRAME = EFFECTS["frame_resonance"].at("x", f0=19.0, zeta=0.05, r=0.05, s=0.8)
 CLOCK = EFFECTS["clock_drift"].at("machine", a=-5e-4)
-DATA: Any = SimpleNamespace(count=COUNT, updates=1, has_voltage_errors=False, updates_rejected={})
+
+
+class Runs(SimpleNamespace):
+    """Attributes of a data set; as with a `Dataset`, only the same object is equal."""
+
+    __eq__, __hash__ = object.__eq__, object.__hash__
+
+
+DATA: Any = Runs(count=COUNT, updates=1, has_voltage_errors=False, updates_rejected={})
 
 
 def fit_with(*effects: AppliedEffect, chi2: float, free: int = 4, bandwidth: float = 0.0) -> Fit:
@@ -46,7 +54,7 @@ def selected(effect: AppliedEffect, gain: float = 1.0) -> SelectedEffect:
 
 def runs(names: str) -> Any:
     """Return data with runs that have one letter each as a name."""
-    return SimpleNamespace(
+    return Runs(
         runs=[SimpleNamespace(name=name, count=COUNT // 4) for name in names],
         count=COUNT,
         updates=1,

@@ -45,9 +45,9 @@ UNREACHED_CHANGES = SWITCH_CHANGES[:5]  # 50 to 3 %
 _NEXT_STEP = 2.25
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Fit:
-    """Result of a fit of k free parameters.
+    """Result of a fit of k free parameters; two fits are equal only if they are the same object.
 
     Attributes:
         machine: Fitted machine.

@@ -97,9 +97,9 @@ class ModelSearch:
         self._known = known
         self._data, self._criteria, self._log = data, criteria, log
         self._data_after = data  # with the initial states and zeros that follow from the machine with effects
-        self._refinements: list[tuple[Fit, Fit]] = []  # pairs of a fit and the same refined, which takes long
-        # Fits, the runs before, and the runs with the starts and zeros that follow from the fit, which take long too.
-        self._data_of_fits: list[tuple[Fit, Dataset, Dataset]] = []
+        # What takes long: fits refined in simulation, and the runs with the starts and zeros that follow from a fit.
+        self._refinements: dict[Fit, Fit] = {}
+        self._data_of_fits: dict[tuple[Fit, Dataset], Dataset] = {}
         self._searches: list[EffectSearch] = []  # one after the other
         # What passed the tests of effects beside each other, once these have ended.
         self._passed: Found | None = None
@@ -157,7 +157,7 @@ class ModelSearch:
                 continue_fit(found.after, self._data_after, found.after.bandwidth), self._data_after
             )
         # The search has chosen their observers.
-        self._refinements += [(self.before, self.before), (after, after)]
+        self._refinements |= {self.before: self.before, after: after}
         complete = self._within_limits(Found(after, found.selected, found.considered))
         if decided := self._decided(complete):
             return decided
@@ -341,9 +341,9 @@ class ModelSearch:
 
     def _outcome(self, verdict: Verdict, found: Found) -> SearchOutcome:
         """Return the outcome, with machines that are fitted again: in simulation, and run by run, if that is better."""
-        judged = next(
-            (fitted for fitted, refined in self._refinements if refined is found.fitted), found.fitted
-        )
+        # A refined fit may be its own refinement as well; the search judged the first one.
+        of_search = (fitted for fitted, refined in self._refinements.items() if refined is found.fitted)
+        judged = next(of_search, found.fitted)
         after = self._final(found.fitted)  # first: the other one is for comparison
         before = after if found.fitted is self.before else self._final(self.before)
         return SearchOutcome(
@@ -371,20 +371,16 @@ class ModelSearch:
         """Return the runs with the encoders' zeros that follow from the effects of a fit."""
         if fitted is self.before:
             return self._data
-        for done, started, data in self._data_of_fits:
-            if done is fitted and started is self._data_after:
-                return data
-        data = refine_dataset(self._data_after, fitted.machine)
-        self._data_of_fits.append((fitted, self._data_after, data))
-        return data
+        key = fitted, self._data_after
+        if key not in self._data_of_fits:
+            self._data_of_fits[key] = refine_dataset(self._data_after, fitted.machine)
+        return self._data_of_fits[key]
 
     def _refined(self, fitted: Fit) -> Fit:
         """Return a fit refined in simulation."""
-        for done, refined in self._refinements:
-            if done is fitted:
-                return refined
-        self._refinements.append((fitted, refined_in_simulation(fitted, self._data_of(fitted))))
-        return self._refinements[-1][1]
+        if fitted not in self._refinements:
+            self._refinements[fitted] = refined_in_simulation(fitted, self._data_of(fitted))
+        return self._refinements[fitted]
 
     def _known_effects(self, start: Selection | None) -> Found:
         """Search from a fit for effects of the library."""

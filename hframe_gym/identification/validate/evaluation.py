@@ -221,15 +221,13 @@ class HeldOutTests:
 
     def __init__(self, session: Session, criteria: SelectionCriteria):
         self.session, self._criteria = session, criteria
-        self._tests: list[HeldOutTest] = []
+        self._tests: dict[Dataset, HeldOutTest] = {}
 
     def of(self, held_out: Dataset) -> HeldOutTest:
         """Return the test by these held-out runs, with the errors that it knows."""
-        for test in self._tests:
-            if test.held_out is held_out:
-                return test
-        self._tests.append(HeldOutTest(self.session, held_out, self._criteria))
-        return self._tests[-1]
+        if held_out not in self._tests:
+            self._tests[held_out] = HeldOutTest(self.session, held_out, self._criteria)
+        return self._tests[held_out]
 
 
 class Evaluated(NamedTuple):
