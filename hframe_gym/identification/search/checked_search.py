@@ -24,7 +24,7 @@ from ..fit.model_error import contradicting_run
 from ..fit.plain_fit import PlainFit, better_start, plain_fit
 from ..fit.run_differences import find_run_differences
 from ..fit.start_estimation import refine_dataset
-from ..fit.voltage_updates import can_show_updates, describe_interpolation, voltage_updates
+from ..fit.voltage_updates import VoltageUpdates, can_show_updates, describe_interpolation, voltage_updates
 from ..judge.criteria import SelectionCriteria
 from ..judge.held_out import refuted_effects
 from ..judge.run import MIN_RUNS_COMPARED, exchange_confirms, exchanges_held_out, run_that_differs_alone
@@ -187,6 +187,30 @@ class _Runs(NamedTuple):
     messages: tuple[str, ...]
 
 
+class _Voltages(NamedTuple):
+    """What a search assumes of the voltages between the rows, and where the one before has led.
+
+    Attributes:
+        updates: How often they change.
+        responding: Machine that shows how the predictions respond to the voltages.
+        fitted_with_errors: Whether the fit of this machine allowed for errors of interpolated voltages.
+        selected: Effects that the search before selected, which assumed other voltages.
+        rejected: Numbers of changes a row that were refuted, each with the number of effects known by then.
+    """
+
+    updates: VoltageUpdates
+    responding: Machine
+    fitted_with_errors: bool
+    selected: tuple[SelectedEffect, ...]
+    rejected: dict[int, int]
+
+    def after(self, change: VoltagesChangeError) -> _Voltages:
+        """Return what the next search assumes, after one that found that the voltages change otherwise."""
+        refuted = self.updates.per_row
+        rejected = {**self.rejected, refuted: len(change.machine.effects)}
+        return _Voltages(change.updates, change.machine, refuted > 1, change.selected, rejected)
+
+
 def _search_and_check(
     machine: Machine,
     all_runs: Dataset,
@@ -202,57 +226,66 @@ def _search_and_check(
     """
     runs = _divided(machine, all_runs, held_names, criteria, log, budget)
     of_agreeing, agreeing = _agreeing_runs(runs, machine, log)
-    updates, responding, fitted_with_errors = voltage_updates(of_agreeing, agreeing, criteria), machine, False
-    # Numbers of changes a row that were refuted, each with the number of effects known by then.
-    rejected: dict[int, int] = {}
-    selected: tuple[SelectedEffect, ...] = ()  # by a search that assumed other voltages
+    updates = voltage_updates(of_agreeing, agreeing, criteria)
+    voltages = _Voltages(updates, machine, fitted_with_errors=False, selected=(), rejected={})
+    names = [run.name for run in agreeing.runs]
     while True:
-        fitted, held_out, messages = runs.fitted, runs.held_out, runs.messages
-        if updates.per_row > 1:
-            commands = machine.commands_in_words
-            changes = updates.describe(commands, fitted.period)
-            log(f"{changes}; they are interpolated")
-            fitted, held_out = interpolated(
-                responding,
-                updates.per_row,
-                fitted,
-                held_out,
-                log,
-                fitted_with_errors=fitted_with_errors,
-                agreeing=[run.name for run in agreeing.runs],
-            )
-            quality = describe_interpolation(runs.refitted.machine, fitted)
-            messages = (*messages, _BETWEEN_ROWS.format(changes, quality, updates.per_row))
-        fitted = dataclasses.replace(fitted, updates_rejected=rejected.copy())
-        # The errors of voltages between all rows of a long log would need too much memory.
-        all_rows = runs.all_rows if updates.per_row == 1 else None
-        # Voltages that are estimated by a machine would make its parameters part of the plain fit.
-        to_fit = fitted.with_inputs(runs.voltages) if all_rows is None else all_rows
-        plain = plain_fit(machine, to_fit, budget)
-        if plain is not None and plain.seconds is not None:
-            messages = (*messages, _PLAIN_ENDED.format(plain.seconds))
-            log(
-                f"  the plain fit ended after {plain.seconds:.0f} s of processor time, its part of the budget"
-            )
-        before_search(plain, fitted, held_out)
         try:
-            found = _search(
-                machine,
-                fitted,
-                held_out,
-                all_rows,
-                plain,
-                selected,
-                refitted=runs.refitted,
-                criteria=criteria,
-                log=log,
-                budget=budget,
-            )._replace(messages=messages)
-            return found if runs.left_out is None else found.without_run(runs.left_out)
+            return _search_with(voltages, runs, names, machine, criteria, log, budget, before_search)
         except VoltagesChangeError as change:
-            rejected[updates.per_row] = len(change.machine.effects)
-            fitted_with_errors = updates.per_row > 1
-            updates, responding, selected = change.updates, change.machine, change.selected
+            voltages = voltages.after(change)
+
+
+def _search_with(
+    voltages: _Voltages,
+    runs: _Runs,
+    agreeing: Sequence[str],
+    machine: Machine,
+    criteria: SelectionCriteria,
+    log: Log,
+    budget: Budget,
+    before_search: BeforeSearch,
+) -> CheckedOutcome:
+    """Interpolate the voltages as assumed, fit plainly, and search; `agreeing`: runs that contradict no others."""
+    fitted, held_out, messages = runs.fitted, runs.held_out, runs.messages
+    per_row = voltages.updates.per_row
+    if per_row > 1:
+        changes = voltages.updates.describe(machine.commands_in_words, fitted.period)
+        log(f"{changes}; they are interpolated")
+        fitted, held_out = interpolated(
+            voltages.responding,
+            per_row,
+            fitted,
+            held_out,
+            log,
+            fitted_with_errors=voltages.fitted_with_errors,
+            agreeing=agreeing,
+        )
+        quality = describe_interpolation(runs.refitted.machine, fitted)
+        messages = (*messages, _BETWEEN_ROWS.format(changes, quality, per_row))
+    fitted = dataclasses.replace(fitted, updates_rejected=voltages.rejected)
+    # The errors of voltages between all rows of a long log would need too much memory.
+    all_rows = runs.all_rows if per_row == 1 else None
+    # Voltages that are estimated by a machine would make its parameters part of the plain fit.
+    to_fit = fitted.with_inputs(runs.voltages) if all_rows is None else all_rows
+    plain = plain_fit(machine, to_fit, budget)
+    if plain is not None and plain.seconds is not None:
+        messages = (*messages, _PLAIN_ENDED.format(plain.seconds))
+        log(f"  the plain fit ended after {plain.seconds:.0f} s of processor time, its part of the budget")
+    before_search(plain, fitted, held_out)
+    found = _search(
+        machine,
+        fitted,
+        held_out,
+        all_rows,
+        plain,
+        voltages.selected,
+        refitted=runs.refitted,
+        criteria=criteria,
+        log=log,
+        budget=budget,
+    )._replace(messages=messages)
+    return found if runs.left_out is None else found.without_run(runs.left_out)
 
 
 def _divided(
