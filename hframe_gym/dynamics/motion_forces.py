@@ -109,11 +109,11 @@ class KnownMotion:
         return self._equations.belt_forces(self._point, self._equations.belt_states(self._point))
 
     def forces(self, equations: Equations) -> Array:
-        """Return the net forces (`net_forces`) of the machine with effects that add no coordinates.
+        """Return the net forces (`net_forces`) along the motion of the machine with further effects.
 
         Args:
-            equations: Equations of the machine with these effects; only these may have other parameters than the given
-                equations, such as one value for each of several variants.
+            equations: Equations of the machine with these effects, which add no coordinates. Only their parameters may
+                have one value for each of several variants; all others are those of the machine without them.
 
         Returns:
             Net forces, N or Nm, shape (N, coordinates), or (variants, N, coordinates) for several variants.

@@ -155,8 +155,8 @@ def read_result(path: str | Path) -> ResultFile:
 
     Raises:
         InputError: If the file is not a result file, names an unknown protocol, or lacks the digest (hash), parts
-            (tasks), metrics or number of draws (episodes) of this protocol. Also if its scores do not follow from its
-            values of the draws.
+            (tasks), metrics or number of draws (episodes) of this protocol. Also if it was edited (checksum), or its
+            scores do not follow from its values of the draws.
         OSError: If the file cannot be read.
     """
     try:

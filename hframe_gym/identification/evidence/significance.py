@@ -77,12 +77,12 @@ class TestedFit:
 
     @cached_property
     def deviations(self) -> dict[str, float]:
-        """Standard deviations of all sizes, by full name."""
+        """Standard deviations of the sizes of all effects, SI, by full name of the parameter (name@site.parameter)."""
         return _deviations(self.fitted, self.data)
 
     @cached_property
     def wide_deviations(self) -> dict[str, float]:
-        """Standard deviations of all sizes with the widest observer, by full name."""
+        """The same as `deviations` with the widest observer."""
         return _deviations(self.wide, self.data)
 
     @cached_property

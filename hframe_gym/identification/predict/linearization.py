@@ -49,7 +49,7 @@ def has_impacts(machine: Machine) -> bool:
     return any(e.definition.impacts for e in machine.effects)
 
 
-def forward_differences(values: Array, step: float | Array = DIFFERENCE_STEP) -> Array:
+def forward_differences(values: Array, step: float | Array) -> Array:
     """Approximate the derivatives of values with respect to k variables by forward differences.
 
     Args:

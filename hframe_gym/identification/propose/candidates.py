@@ -109,7 +109,8 @@ class SearchState:
         data: Prepared recordings that are fitted.
         scales: Typical sizes of force, speed, ... at each component.
         missing_force: By coordinate name, an array of shape (n, 3) over all rows of all runs with the columns position,
-            velocity and missing force (the force that the model lacks): m, m/s, N or rad, rad/s, Nm.
+            velocity and missing force (the force that the model lacks): m, m/s, N or rad, rad/s, Nm. The runs follow
+            each other as in `data.runs`.
         slow: Whether a narrow observer shows errors that change slowly.
         sensor_errors: By channel of the sensors of positions, an array of shape (n, 3) with the columns position,
             velocity and error of the sensor (`missing_force.sensor_errors`). The strategy `library` proposes no
@@ -173,11 +174,11 @@ class SearchState:
         """Return the typical sizes, SI, at a site of an effect, by unit of its parameters (`TypicalScales.of`)."""
         return _scales_at(effect, site, self.machine, self.scales)
 
-    def motion(self, effect: Effect, site: str) -> Array:
-        """Return the rows of what an effect at a site may explain, shape (n, 3), without rows if they are not known.
+    def unexplained(self, effect: Effect, site: str) -> Array:
+        """Return position, velocity and what the model lacks where an effect acts, shape (n, 3).
 
-        They are those of `sensor_errors` for an effect of a sensor, otherwise those of `missing_force` at the
-        coordinate on which it acts.
+        What it lacks is the error of the sensor (`sensor_errors`) for an effect of a sensor, otherwise the force at the
+        coordinate on which the effect acts (`missing_force`). No rows if it is not known.
         """
         if effect.site == "sensor":
             return self.sensor_errors.get(site, np.zeros((0, 3)))

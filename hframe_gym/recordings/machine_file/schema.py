@@ -15,7 +15,6 @@ from pydantic import BaseModel, ConfigDict, Field, create_model
 from pydantic.fields import FieldInfo
 
 from ...machine import (
-    POSITIVE,
     Attribute,
     Belt,
     Component,
@@ -155,7 +154,7 @@ def _form(attribute: Attribute, variants: list[Variant]) -> tuple[Any, dict[str,
     return dict[str, float] if get_origin(attribute.type) is Mapping else attribute.type, {}
 
 
-def _limits(units: Iterable[str], lower: float = POSITIVE) -> dict[str, Any]:
+def _limits(units: Iterable[str], lower: float) -> dict[str, Any]:
     """Return the part of the JSON Schema that states units and sign of a quantity."""
     properties: dict[str, Any] = {"unit": {"enum": list(dict.fromkeys(units))}}
     if lower >= 0.0:

@@ -60,23 +60,23 @@ def _rates(effect: Effect, site: str, state: SearchState) -> Array:
 
     Friction that varies slowly over the position may hide in its noise, and starts from a grid as well.
     """
-    motion = state.motion(effect, site)
-    if not len(motion):
+    unexplained = state.unexplained(effect, site)
+    if not len(unexplained):
         return np.zeros(0)
     factor, rows = _factor(effect, site, state), max(1, round(_BLOCK_S / state.data.period))
     rates = periodogram_peaks(
-        block_means(motion, rows),
+        block_means(unexplained, rows),
         rows * state.data.period,
         factor=None if factor is None else block_means(factor, rows),
     )
     if state.slow and effect.coulomb:
-        rates = np.concatenate([rates, slow_rates(motion[:, 0])])
+        rates = np.concatenate([rates, slow_rates(unexplained[:, 0])])
     return rates
 
 
 def _factor(effect: Effect, site: str, state: SearchState) -> Array | None:
     """Return what multiplies a periodic quantity of an effect in each row, see `periodogram_peaks`."""
-    velocity = state.motion(effect, site)[:, 1]
+    velocity = state.unexplained(effect, site)[:, 1]
     if effect.coulomb:
         return np.sign(velocity)
     loaded = effect.force is not None and "load" in argument_names(effect.force)
