@@ -121,13 +121,14 @@ def _counted_again(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> V
     deviation = math.hypot(excess.deviation, DELAY_STD)
     clear = voltages_change_at_another_rate(excess.periods, deviation)
     # The largest number is where the count ends, and need not be close to an estimate.
-    if not clear and data.updates != most_updates(data):
+    at_end = data.updates == most_updates(data)
+    if not clear and not at_end:
         return None
     # Instruments need voltages that change; that they are held follows from the delay with the fewest changes.
     nearest = _number_with_delay(0.5 / data.updates + excess.periods, 1, most_updates(data))
     held_after_all = clear and (data.updates, nearest) == (_FEWEST_UPDATES, 1)
     per_row = 1 if held_after_all else count_updates(fitted, data, excess)
-    if not voltages_change_at_another_rate(0.5 / per_row - 0.5 / data.updates, deviation):
+    if at_end and not voltages_change_at_another_rate(0.5 / per_row - 0.5 / data.updates, deviation):
         return None
     # Held voltages are no interpolated ones, and have none of their errors.
     known = data if per_row > 1 else data.without_voltage_errors()

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...arrays import Array
 from .criteria import SelectionCriteria
-from .error import AS_GOOD, CLEAR, FAR, FitError, Measured, is_enough, required_gain
+from .error import AS_GOOD, CLEAR, FAR, FitError, Measured, is_enough, required_gain, voltages_may_cause
 from .held_out import HeldOutEffect
 
 # Two runs may differ in almost any parameter, and two must agree with each other for another one to contradict them.
@@ -124,15 +124,18 @@ def voltages_change_at_another_rate(delay: float, deviation: float) -> bool:
 def another_rate_explains_more(present: FitError, other: FitError, criteria: SelectionCriteria) -> bool:
     """Return whether a search begins again because voltages change at another rate from row to row than it assumed.
 
-    Whatever acts late moves the delay of the voltages, such as the inductance of a motor or a sensor, and missing
-    effects do. Only a number of changes that is closer to the truth leaves less of the error, by as much as an effect
-    must.
+    Instruments have found another delay, clearly. What a machine lacks moves this delay too, such as the inductance of
+    a motor: where the unknown voltages cannot cause all that is left, another number must reduce the error by as much
+    as an effect must. Where they can, the error tells numbers apart less well than the delay and prefers too many, so
+    that another one only must not raise it by as much.
 
     Args:
         present: Error of a fit with the present number of changes.
         other: Error of a fit with another number, of the same observer and with the same statistics.
-        criteria: Decision thresholds of `required_gain`.
+        criteria: Decision thresholds of `required_gain` and `voltages_may_cause`.
     """
+    if voltages_may_cause(present, criteria):
+        return not is_enough(other, present, criteria.min_gain)
     return is_enough(present, other, required_gain(present, criteria))
 
 
