@@ -29,7 +29,8 @@ class TypicalScales:
         by_coordinate: Sizes by coordinate and by key, in N, m/s and m or in Nm, rad/s and rad: "mass", "force",
             "speed", "position", "viscous", "drag", "stiffness"; with a drive, also "voltage" (V), "A" (its current,
             A), "1/A^2", "1/W".
-        general: Sizes of the belts, by key: "m" (extension, m), "N" (force, N), "1/m^2" (1 / extension^2).
+        general: Sizes of the belts, by key: "m" (extension, m), "N" (force, N), "1/m^2" (1 / extension^2). "session":
+            duration of all runs together, s.
     """
 
     by_coordinate: Mapping[str, Mapping[str, float]]
