@@ -83,7 +83,7 @@ class Scripted:
             "drive_force": lambda machine, data: self.drives,
             "residue_force": lambda fitted, data: self.residue.get(fitted.chi2, 0.1),
             "leave_one_out_gain": lambda a, b, data: self.confirmed * (a.cost - b.cost),
-            "refitted_leave_one_out_gain": lambda a, b, data: self.confirmed * (a.cost - b.cost),
+            "refitted_leave_one_out_gain": lambda a, b, data, least: self.confirmed * (a.cost - b.cost),
             "long_run_variance": lambda fitted, label, data: LongRunVariance(self.variance),
             "plausibility_fault": lambda machine: self.fault,
             "force_difference": lambda a, b, data: self.difference,

@@ -155,7 +155,7 @@ def effect_evidence(without: Fit, tested: TestedFit, effect: AppliedEffect) -> E
         with_effect=with_effect.error,
         forceless=_is_forceless(effect),
         confirmed=lambda: leave_one_out_gain(without, with_effect, data),
-        confirmed_accurate=lambda: refitted_leave_one_out_gain(without, with_effect, data),
+        confirmed_accurate=partial(refitted_leave_one_out_gain, without, with_effect, data),
         fault=lambda: plausibility_fault(with_effect.machine),
         chance=cache(lambda: _chance(without, with_effect, effect, data)),  # two tests need it
         chance_narrower=None if has_narrowest_observer(with_effect, data) else narrower,

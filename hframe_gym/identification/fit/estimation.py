@@ -318,11 +318,17 @@ def cross_validation(fitted: Fit, data: Dataset, pieces: int) -> list[tuple[floa
     Returns:
         For each piece, its cost and that of all others, dimensionless; infinite if the machine diverges.
     """
-    return costs_left_out(_equations_of_pieces(fitted, data, pieces), fitted.free, fitted.theta)
+    return costs_left_out(equations_of_pieces(fitted, data, pieces), fitted.free, fitted.theta)
 
 
-def _equations_of_pieces(fitted: Fit, data: Dataset, pieces: int) -> list[NormalEquations]:
-    """Return the normal equations of each piece of the runs around a fit."""
+def equations_of_pieces(fitted: Fit, data: Dataset, pieces: int) -> list[NormalEquations]:
+    """Return the normal equations of each piece of the runs around a fit.
+
+    Args:
+        fitted: Fit of a machine.
+        data: Runs that were fitted.
+        pieces: Number of pieces into which each run is divided; 1 for complete runs.
+    """
     model = ResidualModel(fitted.machine, fitted.free, data, fitted.bandwidth, fitted.longest_step)
     point = model.at(fitted.theta)
 
@@ -397,7 +403,7 @@ def cross_validation_of_some(
     Returns:
         Cost of each piece, dimensionless, by `costs_of_some_left_out`.
     """
-    equations = _equations_of_pieces(fitted, data, pieces)
+    equations = equations_of_pieces(fitted, data, pieces)
     return costs_of_some_left_out(equations, tested, fitted.free, fitted.theta)
 
 

@@ -167,7 +167,8 @@ class EffectEvidence:
         with_effect: Error with it.
         forceless: Whether it adds coordinates or changes the clock; it then has no force at those of the machine.
         confirmed: Reduction of the cost in runs to which the effect was not fitted, by a linear model.
-        confirmed_accurate: The same, fitted again without each piece.
+        confirmed_accurate: The same, fitted again without each piece, or an upper limit of it below the least reduction
+            that confirms, which is given.
         fault: Why the machine with the effect is not physical, as `fault_of_machine` says.
         chance: Reduction and long-run variance at the observer of both fits.
         chance_narrower: The same at the next narrower observer; None for a simulation.
@@ -190,7 +191,7 @@ class EffectEvidence:
     with_effect: FitError
     forceless: bool
     confirmed: Measured
-    confirmed_accurate: Measured
+    confirmed_accurate: Callable[[float], float]
     fault: Callable[[], str]
     chance: Callable[[], Chance]
     chance_narrower: Callable[[], Chance] | None
@@ -262,14 +263,14 @@ def doubt_beside_others(evidence: EffectEvidence, criteria: SelectionCriteria) -
 def _doubt(evidence: EffectEvidence, criteria: SelectionCriteria, *, statistical: bool) -> str:
     """Return the first reason against an effect; the order is that of the costs of the evidence."""
     return (
-        (statistical and _unconfirmed(evidence, criteria))
-        or evidence.fault()
+        evidence.fault()
         or (statistical and _by_chance(evidence, criteria))
         or (statistical and _in_the_motion(evidence))
         or (statistical and _by_voltages(evidence, criteria))
         or (statistical and _of_several_sizes(evidence, criteria))
         or _too_small(evidence, criteria)
         or _form_error(evidence, criteria)
+        or (_unconfirmed(evidence, criteria) if statistical else "")
     )
 
 
@@ -331,20 +332,25 @@ def _differs(size: SizeByFit, criteria: SelectionCriteria) -> bool:
     return abs(size.other - size.value) > chance_deviations(criteria) * size.std()
 
 
-def _is_confirmed(gain: float, confirmed: float, criteria: SelectionCriteria) -> bool:
-    """Return whether runs to which an effect was not fitted confirm a reduction of the cost."""
-    return confirmed >= criteria.min_confirmed_fraction * gain
+def _least_confirmed(gain: float, criteria: SelectionCriteria) -> float:
+    """Return the reduction of the cost in runs to which an effect was not fitted that confirms a gain."""
+    return criteria.min_confirmed_fraction * gain
 
 
 def _unconfirmed(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
     """Return the doubt that an effect describes single runs rather than the machine; "" if other runs confirm it."""
     gain = evidence.gain
-    if _is_confirmed(gain, evidence.confirmed(), criteria):
+    least = _least_confirmed(gain, criteria)
+    if evidence.confirmed() >= least:
         return ""
-    confirmed = evidence.confirmed_accurate()
-    if _is_confirmed(gain, confirmed, criteria):
+    confirmed = evidence.confirmed_accurate(least)
+    if confirmed >= least:
         return ""
-    there = f"{100 * confirmed / gain:.0f} % of the gain" if confirmed >= 0.0 else "their error grows with it"
+    there = (
+        f"no more than {100 * confirmed / gain:.0f} % of the gain"
+        if confirmed >= 0.0
+        else "their error grows with it"
+    )
     return f"is not confirmed by runs that it was not fitted to ({there})"
 
 
@@ -462,7 +468,8 @@ class TimingEvidence:
         wide: The same with the wider observer.
         variance: Function that returns the variance of the residual in the effect's direction, with the wider observer.
         confirmed: Reduction of the cost in runs to which it was not fitted, with the wider observer, by a linear model.
-        confirmed_accurate: The same, fitted again without each piece.
+        confirmed_accurate: The same, fitted again without each piece, or an upper limit of it below the least reduction
+            that confirms, which is given.
         fault: Why the machine with the effect is not physical.
         held_out_gain: Function that returns which fraction of the error of the held-out runs it removes, with the wider
             observer; infinite without such runs.
@@ -472,7 +479,7 @@ class TimingEvidence:
     wide: tuple[float, float]
     variance: Callable[[], LongRunVariance]
     confirmed: Measured
-    confirmed_accurate: Measured
+    confirmed_accurate: Callable[[float], float]
     fault: Callable[[], str]
     held_out_gain: Measured
 
@@ -501,7 +508,7 @@ def doubt_about_timing(evidence: TimingEvidence, criteria: SelectionCriteria) ->
         return "explains a slow error, not a fast one"
     if not exceeds_chance(gain, evidence.variance(), criteria):
         return BY_CHANCE
-    measures = (evidence.confirmed, evidence.confirmed_accurate)
-    if not any(_is_confirmed(gain, confirmed(), criteria) for confirmed in measures):
+    least = _least_confirmed(gain, criteria)
+    if not (evidence.confirmed() >= least or evidence.confirmed_accurate(least) >= least):
         return "is not confirmed by runs that it was not fitted to"
     return evidence.fault() or (NO_GAIN if not evidence.held_out_gain() > 0.0 else "")

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from functools import partial
 
 from ...machine import Effect, argument_names
 from ...preparation.dataset import Dataset
@@ -92,7 +93,7 @@ def with_input_timing(
         wide=(current.cost, best.cost),
         variance=lambda: long_run_variance(best, effect.label, data),
         confirmed=lambda: leave_one_out_gain(current, best, data),
-        confirmed_accurate=lambda: refitted_leave_one_out_gain(current, best, data),
+        confirmed_accurate=partial(refitted_leave_one_out_gain, current, best, data),
         fault=lambda: plausibility_fault(best.machine),
         held_out_gain=lambda: _held_out_gain(best, refine_dataset(held_out, best.machine, data)),
     )

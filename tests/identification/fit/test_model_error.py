@@ -137,6 +137,26 @@ def test_true_fits_confirm_what_the_linear_model_does_where_it_holds(axis: Machi
     np.testing.assert_allclose(refitted, linear, rtol=0.15)
 
 
+def test_runs_are_left_out_until_the_others_cannot_confirm_an_effect(
+    axis: Machine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Only the second run has a force; without it, the others find none, and the second one has all of its error."""
+    data = recordings(axis, forces=(0.0, 0.3, 0.0, 0.0))
+    without, with_effect = fitted_axis(axis, data), fitted_axis(axis, data, constant_force=True)
+    left_out: list[str] = []
+
+    def refitted_cost(*arguments: Any) -> float:
+        left_out.append(arguments[-1].runs[0].name)
+        return original(*arguments)
+
+    original = model_error._refitted_cost
+    monkeypatch.setattr(model_error, "_refitted_cost", refitted_cost)
+    least = 0.3 * (without.cost - with_effect.cost)
+    limit = refitted_leave_one_out_gain(without, with_effect, data, least)
+    assert left_out == [data.runs[1].name]
+    assert refitted_leave_one_out_gain(without, with_effect, data) <= limit < least
+
+
 # -- decisions with scripted fits --------------------------------------------------------------------------------------
 
 

@@ -42,7 +42,7 @@ class Script:
             "likelihood_loss": lambda fitted, data: fitted.chi2,
             "long_run_variance": lambda fitted, label, data: LongRunVariance(self.variance),
             "leave_one_out_gain": lambda a, b, data: self.confirmed * (a.cost - b.cost),
-            "refitted_leave_one_out_gain": lambda a, b, data: self.confirmed * (a.cost - b.cost),
+            "refitted_leave_one_out_gain": lambda a, b, data, least: self.confirmed * (a.cost - b.cost),
             "plausibility_fault": lambda machine: self.fault,
             "error_reduction": lambda *arguments: self.held_out_gain,
             "_trials": self.trials,
