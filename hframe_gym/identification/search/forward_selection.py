@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from functools import cache
+from functools import partial
 from typing import NamedTuple
 
 from ...machine import AppliedEffect, Machine
@@ -37,6 +37,7 @@ from ..fit.model_error import (
     has_narrowest_observer,
     likelihood_deficit,
     narrower_observer,
+    polish,
 )
 from ..fit.start_estimation import with_probable_starts
 from ..fit.voltage_updates import other_updates
@@ -98,6 +99,7 @@ class EffectSearch:
         # Fits with their candidates, the latest for each observer bandwidth and effects.
         self._screened: dict[tuple[float | str, ...], ScreenedFit] = {}
         self._compared: dict[str, _Comparison] = {}  # of effects with their rivals, the latest by label
+        self._likely: tuple[Fit, Dataset, Fit] | None = None  # the latest fit, its data and the most likely fit
         self._seconds = 0.0  # processor time for the fit and the tests of the last effect that passed, s
 
     def with_data(self, data: Dataset) -> EffectSearch:
@@ -432,11 +434,6 @@ class EffectSearch:
             Fit of the machine with the most likely effects, and these effects with the rivals that remain.
         """
         settled: tuple[SelectedEffect, ...] = ()
-
-        @cache
-        def likely() -> Fit:
-            return most_likely_fit(current, self.data)
-
         for old in selected:
             others = [e for s in selected if s is not old for e in (s.effect, *s.rival_effects)]
             further = rivals_in_combination(old.effect, old.rival_effects, others, current.machine)
@@ -452,7 +449,7 @@ class EffectSearch:
                 self.data,
                 self._criteria,
                 in_combination=further,
-                likely=likely,
+                likely=partial(self._most_likely, current),
             )
             remaining = (*past.remaining, *compared.remaining)
             if compared.better is not None:
@@ -467,6 +464,22 @@ class EffectSearch:
             self._compared[old.effect.label] = _Comparison(current, self.data, tried, remaining)
             settled = (*settled, dataclasses.replace(old, rival_effects=remaining))
         return current, tuple(s.with_values(current.machine) for s in settled)
+
+    def _most_likely(self, current: Fit) -> Fit:
+        """Return `most_likely_fit` of a fit, which takes long and is asked for again; the latest one is remembered."""
+        if self._likely is None or self._likely[0] is not current or self._likely[1] is not self.data:
+            self._likely = current, self.data, most_likely_fit(current, self.data)
+        return self._likely[2]
+
+    def polished(self, current: Fit) -> Fit:
+        """Return a fit with the shortest integration step (`polish`); a comparison with rivals may have found it.
+
+        Args:
+            current: Fit of the machine with all selected effects.
+        """
+        if has_narrowest_observer(current, self.data):  # then no other fit is compared with it
+            return self._most_likely(current)
+        return polish(current, self.data)
 
     def prune(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> Selection:
         """Remove effects that later effects have made superfluous; `considered` lists them.

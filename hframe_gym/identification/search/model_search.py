@@ -426,7 +426,7 @@ class ModelSearch:
     def _tested(self, search: EffectSearch, current: Fit, effects: tuple[SelectedEffect, ...]) -> Found:
         """Return those effects of a search that pass the tests beside each other, also in simulation."""
         spend("testing each effect beside the others")
-        current, effects = search.prune(polish(current, search.data), effects)
+        current, effects = search.prune(search.polished(current), effects)
         simulated = self._refined(current)
         # Without the error that an observer causes, unless the simulation leaves more than the observer corrects.
         accurate = self._explains(simulated) or not self._explains(current)

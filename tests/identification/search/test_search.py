@@ -72,6 +72,9 @@ class ScriptedSearch:
             def settle_rivals(self, current: Fit, chosen: tuple[SelectedEffect, ...]) -> Any:
                 return current, chosen
 
+            def polished(self, current: Fit) -> Fit:
+                return current
+
             def prune(self, current: Fit, chosen: tuple[SelectedEffect, ...]) -> Any:
                 return current, chosen if script.pruned is None or current.bandwidth else script.pruned
 
