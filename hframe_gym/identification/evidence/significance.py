@@ -46,7 +46,7 @@ from .unknown_voltages import cost_beside_voltages
 
 
 class TestedFit:
-    """Fit of a machine with effects, and its fits with other observers and voltages, which the tests of each need.
+    """Fit of a machine, and its fits with other observers and voltages, which the tests of several effects need.
 
     They are computed once, when they are needed.
 
@@ -97,7 +97,7 @@ class TestedFit:
 
 
 def doubt_about_candidate(
-    current: Fit, trial: Fit, data: Dataset, criteria: SelectionCriteria, effect: AppliedEffect | None = None
+    current: TestedFit, trial: Fit, criteria: SelectionCriteria, effect: AppliedEffect | None = None
 ) -> str:
     """Return a reason why an effect may not exist although it reduces the error, or "" if it passes all tests.
 
@@ -105,7 +105,6 @@ def doubt_about_candidate(
         current: Fit of the machine without the effect.
         trial: Fit of the machine with the effect. Both fits have the same observer bandwidth (the observer corrects
             predictions by the measurements).
-        data: Runs that were fitted.
         criteria: Decision thresholds.
         effect: The effect. Default: the last one of the machine.
 
@@ -114,7 +113,7 @@ def doubt_about_candidate(
         `judge.effect.doubt_about_candidate`.
     """
     effect = effect or trial.machine.effects[-1]
-    evidence = effect_evidence(current, TestedFit(trial, data), effect)
+    evidence = effect_evidence(current, TestedFit(trial, current.data), effect)
     return judge.doubt_about_candidate(evidence, criteria)
 
 
@@ -131,24 +130,25 @@ def doubt_beside_others(
     Returns:
         Clause that follows "it ", such as "has no effect on the error", by `judge.effect.doubt_beside_others`.
     """
-    return judge.doubt_beside_others(effect_evidence(reduced, complete, effect), criteria)
+    without = TestedFit(reduced, complete.data)
+    return judge.doubt_beside_others(effect_evidence(without, complete, effect), criteria)
 
 
-def effect_evidence(without: Fit, tested: TestedFit, effect: AppliedEffect) -> EffectEvidence:
+def effect_evidence(reduced: TestedFit, tested: TestedFit, effect: AppliedEffect) -> EffectEvidence:
     """Collect what the fitted runs say about an effect; numbers that take seconds are computed when they are needed.
 
     Args:
-        without: Fit of the machine without the effect.
+        reduced: Fit of the machine without the effect.
         tested: Fit of the machine with it, at the same observer bandwidth.
     """
-    with_effect, data = tested.fitted, tested.data
+    without, with_effect, data = reduced.fitted, tested.fitted, tested.data
     held = data.updates == 1
 
     def narrower() -> Chance:
-        return _chance(narrower_observer(without, data), tested.narrower, effect, data)
+        return _chance(reduced.narrower, tested.narrower, effect, data)
 
     def beside_voltages() -> float:
-        return cost_beside_voltages(without, data) - tested.cost_beside_voltages
+        return reduced.cost_beside_voltages - tested.cost_beside_voltages
 
     return EffectEvidence(
         without=without.error,

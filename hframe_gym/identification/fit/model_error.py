@@ -44,8 +44,8 @@ from ..predict.prediction import (
 )
 from .estimation import (
     Fit,
-    cross_validation,
     costs_of_some_left_out,
+    cross_validation,
     cross_validation_of_some,
     equations_of_pieces,
     fit,

@@ -526,6 +526,8 @@ def without_unconfirmed(outcome: SearchOutcome, held_out: Dataset, log: Log) -> 
         refuted, reason = refuted_effects(
             shown, partial(worsens_simulation, before.machine, after.machine, runs)
         )
+        if not refuted:
+            break
         refined = refine_dataset(data, after.machine)
         ordered = (next(s for s in selected if s.effect.label == label) for label in refuted)
         fits = ((s, without_effect(after, s.effect.label, refined, before.machine)) for s in ordered)

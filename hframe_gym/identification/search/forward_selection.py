@@ -99,7 +99,9 @@ class EffectSearch:
         # Fits with their candidates, the latest for each observer bandwidth and effects.
         self._screened: dict[tuple[float | str, ...], ScreenedFit] = {}
         self._compared: dict[str, _Comparison] = {}  # of effects with their rivals, the latest by label
-        self._likely: tuple[Fit, Dataset, Fit] | None = None  # the latest fit, its data and the most likely fit
+        self._likely: tuple[Fit, Dataset, Fit] | None = (
+            None  # the latest fit, its data and the most likely fit
+        )
         self._seconds = 0.0  # processor time for the fit and the tests of the last effect that passed, s
 
     def with_data(self, data: Dataset) -> EffectSearch:
@@ -209,7 +211,7 @@ class EffectSearch:
         if not is_enough(reduced.error, complete.error, enough):
             self._log(f"  {label} is not selected: a reduction by {enough:.2g} is required")
             return False
-        doubt = doubt_about_candidate(reduced, complete, self.data, self._criteria, effect)
+        doubt = doubt_about_candidate(TestedFit(reduced, self.data), complete, self._criteria, effect)
         if doubt:
             self._log(f"  {label} is not selected: it {doubt}")
             self.considered[label] = ConsideredEffect(effect, complete.machine, reduced.machine, doubt)
@@ -354,7 +356,7 @@ class EffectSearch:
                 continue
             reduced, better = replaced
             enough = is_enough(current.error, better.error, required_gain(current.error, criteria))
-            if not enough or doubt_about_candidate(reduced, better, data, criteria):
+            if not enough or doubt_about_candidate(TestedFit(reduced, data), better, criteria):
                 continue
             effect = better.machine.effects[-1]
             self._log(f"  {effect.label} replaces {old.effect.label}: it {describe_gain(current, better)}")
@@ -366,6 +368,7 @@ class EffectSearch:
 
     def _best(self, current: Fit, trials: list[Fit], enough: float) -> Fit | None:
         """Return the converged fit of the first trial that passes all tests, None if there is none."""
+        without = TestedFit(current, self.data)
         for trial in trials:
             if not judge.is_worth_convergence(current.error, trial.error, enough, self._criteria):
                 return None
@@ -376,7 +379,7 @@ class EffectSearch:
             if not is_enough(current.error, fitted.error, enough):
                 self._log(f"  {effect.label} is not selected: a reduction by {enough:.2g} is required")
                 continue
-            doubt = doubt_about_candidate(current, fitted, self.data, self._criteria)
+            doubt = doubt_about_candidate(without, fitted, self._criteria)
             if not doubt:
                 self._seconds = seconds_spent() - began
                 return fitted

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +16,9 @@ from hframe_gym.identification.evidence.significance import (
     TestedFit,
     doubt_about_candidate,
     doubt_beside_others,
+    effect_evidence,
 )
+from hframe_gym.identification.fit.estimation import Fit
 from hframe_gym.machine import AppliedEffect
 from hframe_gym.recordings import Recording
 from tests.identification.scripted_fits import (
@@ -44,7 +47,7 @@ def test_a_clock_has_the_size_of_the_force_that_it_explains(
     heat = EFFECTS["winding_heat"].at("motor", a=0.03, tau=10.0)
     scripted.residue, scripted.force = {1.3: 0.5, 1.1: residue}, {heat.label: heat_force}
     both = fit_with(heat, CLOCK, chi2=1.1)
-    doubt = doubt_about_candidate(fit_with(heat, chi2=1.3), both, DATA, CRITERIA)
+    doubt = doubt_about_candidate(TestedFit(fit_with(heat, chi2=1.3), DATA), both, CRITERIA)
     assert doubt.startswith(reason) if reason else doubt == ""
 
 
@@ -54,6 +57,34 @@ def test_no_effect_corrects_a_clock(scripted: Scripted) -> None:
     scripted.force = {CLOCK.label: np.inf}
     both = fit_with(heat, CLOCK, chi2=1.1)
     assert doubt_beside_others(fit_with(CLOCK, chi2=1.3), TestedFit(both, DATA), heat, CRITERIA) == ""
+
+
+def test_what_candidates_have_in_common_is_measured_once(
+    scripted: Scripted, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All are compared with the machine without them: by its narrower observer, and beside unknown voltages."""
+    measured: list[tuple[str, Fit]] = []
+
+    def narrower(fitted: Fit, data: Any) -> Fit:
+        measured.append(("narrower", fitted))
+        return fitted
+
+    def beside_voltages(fitted: Fit, data: Any) -> float:
+        measured.append(("voltages", fitted))
+        return fitted.cost
+
+    monkeypatch.setattr(significance, "narrower_observer", narrower)
+    monkeypatch.setattr(significance, "cost_beside_voltages", beside_voltages)
+    data = SimpleNamespace(**vars(DATA) | {"updates": 4})
+    alone = TestedFit(fit_with(chi2=1.3, bandwidth=60.0), data)
+    for chi2 in (1.1, 1.2):
+        candidate = fit_with(PUSH, chi2=chi2, bandwidth=60.0)
+        evidence = effect_evidence(alone, TestedFit(candidate, data), PUSH)
+        assert evidence.beside_voltages is not None
+        assert evidence.beside_voltages() == alone.fitted.cost - candidate.cost
+        assert evidence.chance_narrower is not None
+        assert evidence.chance_narrower().gain == alone.fitted.cost - candidate.cost
+    assert [kind for kind, fitted in measured if fitted is alone.fitted] == ["voltages", "narrower"]
 
 
 SKEW = EFFECTS["sensor_skew"].at("x_m", a=2e-3)
