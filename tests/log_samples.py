@@ -161,6 +161,49 @@ def write_matlab_objects(path: Path, version: str, seconds: Any, values: Any) ->
         save_to_mat(path, {**content, "bench": timetable, "t": seconds}, version=version)
 
 
+def write_simulink_signals(path: Path, seconds: Any, values: Any) -> None:
+    """Write a data set of Simulink as a running model does: a signal without name, one with times, one in a bus."""
+    step = float(np.diff(seconds[:2])[0])
+    with h5py.File(path, "w") as file:
+
+        def text(group: Any, name: str, value: str) -> Any:
+            codes = np.array([[ord(letter)] for letter in value] or [[0], [0]], np.uint16)
+            group[name] = codes
+            if not value:
+                group[name].attrs["MATLAB_empty"] = 1
+            return group[name]
+
+        def stream(number: int, data: Any) -> None:
+            group = file.create_group(f"#sigstream#/{number}")
+            group["#data#"] = np.frombuffer(data.tobytes(), np.uint8)
+            group["#length#"], group["#sampleSize#"] = [len(data)], [data.dtype.itemsize]
+
+        def leaf(group: Any, name: str, kind: str, number: int, times: int | None = None) -> None:
+            text(group, "Name", name)
+            text(group, "SignalAttributes/ClassName", kind)
+            group["DataR2"] = [[float(number)]]
+            group["TimeR2"] = [[float(times or 0)]]
+            group["CompressedTime"] = [[seconds[0]], [step], [len(seconds)]]
+            if times is None:
+                group["TimeR2"].attrs["MATLAB_empty"] = 1
+
+        def element(key: str, name: str, block: str) -> Any:
+            group = file.create_group(f"#refs#/{key}")
+            text(group, "Name", name)
+            path_of_block = text(file["#refs#"], f"{key}_block", f"model/{block}")
+            group.create_dataset("BlockPath", data=[[path_of_block.ref]], dtype=h5py.ref_dtype)
+            return group.create_group("Values")
+
+        stream(0, np.asarray(values, "f8"))
+        stream(1, np.asarray(values, "f4"))
+        stream(2, np.arange(len(seconds), dtype="i4"))
+        stream(3, np.asarray(seconds, "f8"))
+        leaf(element("a", "", "Chirp"), "", "double", 0)
+        leaf(element("b", "angle", "Encoder"), "angle", "single", 1, times=3)
+        leaf(element("c", "motor", "Bus").create_group("current"), "", "int32", 2)
+        file["#subsystem#/MCOS"] = [0]
+
+
 def _joint_states(store: Any, k: int, delay: int) -> Any:
     """Return the message of two joints; the order of the joints changes from message to message."""
     types = store.types

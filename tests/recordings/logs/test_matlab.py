@@ -13,7 +13,7 @@ from hframe_gym.errors import InputError
 from hframe_gym.machine import BUILTIN_MACHINES
 from hframe_gym.recordings import ImportSettings, MappingOptions, import_logs, load_recordings
 from hframe_gym.recordings.logs.log_files import open_logs
-from tests.log_samples import write_matlab, write_matlab_objects
+from tests.log_samples import write_matlab, write_matlab_objects, write_simulink_signals
 
 COUNT = 50
 TIME = np.arange(COUNT) * 1e-3
@@ -89,6 +89,20 @@ def test_tables_and_timeseries_are_columns(tmp_path: Path, version: str) -> None
     np.testing.assert_array_equal(columns["speed.Data"], POSITION)
     np.testing.assert_allclose(columns["current.Time"], 0.5 + TIME)
     np.testing.assert_array_equal(columns["current.Data"], POSITION)
+
+
+def test_signals_of_a_simulink_data_set_are_columns(tmp_path: Path) -> None:
+    """A running model writes them in streams, with times if its steps are not equal; a bus contains several."""
+    write_simulink_signals(tmp_path / "log.mat", TIME, POSITION)
+    (log,) = open_logs(tmp_path / "log.mat")
+    columns = dict(zip([c.header for c in log.columns], log.read(log.columns)[0], strict=True))
+    expected = {"Chirp", "angle", "motor.current"}
+    assert set(columns) == {f"{name}.{part}" for name in expected for part in ("Time", "Data")}
+    for name in expected:
+        np.testing.assert_allclose(columns[f"{name}.Time"], TIME)
+    np.testing.assert_array_equal(columns["Chirp.Data"], POSITION)
+    np.testing.assert_array_equal(columns["angle.Data"], POSITION.astype(np.float32))
+    np.testing.assert_array_equal(columns["motor.current.Data"], np.arange(COUNT))
 
 
 def test_objects_need_an_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

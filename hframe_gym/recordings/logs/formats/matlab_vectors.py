@@ -17,6 +17,11 @@ from numpy.typing import NDArray
 _DEEPEST = 32  # structures in structures
 # Names under which SciPy and HDF5 return what MATLAB's objects consist of.
 _OBJECTS = {"__function_workspace__", "#subsystem#"}
+# Where files of version 7.3 keep the signals of a Simulink data set, and what their values are stored as.
+_STREAMS = "#sigstream#"
+_STREAM_TYPES = {"double": "f8", "single": "f4", "logical": "u1", "boolean": "u1"} | {
+    f"{sign}int{bits}": f"{sign or 'i'}{bits // 8}" for sign in ("", "u") for bits in (8, 16, 32, 64)
+}
 
 
 def vectors(name: str, value: Any) -> Iterator[tuple[str, NDArray[np.float64]]]:
@@ -160,6 +165,73 @@ def hdf5_content(path: str, limit: int) -> dict[str, Any]:
         return variables | dict.fromkeys(_OBJECTS & file.keys())
 
 
+def simulink_signals(path: str, limit: int) -> dict[str, Any]:
+    """Read the signals of a Simulink data set in a MATLAB file of version 7.3, which a running model wrote.
+
+    Each signal is described by a structure and has its values, and its times unless its steps are equal, in streams of
+    bytes. Signals of other types than numbers are left out.
+
+    Args:
+        limit: Largest accepted size of all streams together, bytes.
+
+    Returns:
+        Time, s, and Data of each signal by its name or, if it has none, that of its block.
+
+    Raises:
+        ValueError: If the streams are larger than the limit.
+    """
+    import h5py
+
+    found: dict[str, Any] = {}
+    with h5py.File(path, "r") as file:
+        if _STREAMS not in file:
+            return found
+        streams = file[_STREAMS]
+        if sum(stream["#data#"].size for stream in streams.values() if "#data#" in stream) > limit:
+            raise ValueError(f"its signals have more than {limit} bytes, which no recording has")
+
+        def text(item: Any) -> str:
+            """Return a text, which a cell may hold; "" where there is none."""
+            if item is None or "MATLAB_empty" in item.attrs:
+                return ""
+            if h5py.check_ref_dtype(item.dtype) is not None:
+                return text(file[item[()].ravel()[-1]])
+            return "".join(map(chr, item[()].ravel()))
+
+        def values(number: Any, kind: str) -> NDArray[Any]:
+            """Return the values of a stream, shape (rows, values a row)."""
+            stream = streams[str(int(number[()].ravel()[0]))]
+            rows, size = (int(stream[name][()].ravel()[0]) for name in ("#length#", "#sampleSize#"))
+            content = stream["#data#"][()].tobytes()[: rows * size]
+            return np.frombuffer(content, _STREAM_TYPES[kind]).reshape(rows, -1)
+
+        def visit(structure: Any, name: str) -> None:
+            """Add the signals in a structure, which has this name unless it has one of its own."""
+            block = text(structure.get("BlockPath")).rpartition("/")[2]
+            name = text(structure.get("Name")) or name or block
+            if "DataR2" not in structure:
+                for key, member in structure.items():
+                    if isinstance(member, h5py.Group):
+                        visit(member, name if key == "Values" else f"{name}.{key}".lstrip("."))
+                return
+            kind = text(structure["SignalAttributes/ClassName"])
+            if kind not in _STREAM_TYPES:
+                return
+            data = values(structure["DataR2"], kind)
+            if "MATLAB_empty" in structure["TimeR2"].attrs:
+                start, step = structure["CompressedTime"][()].ravel()[:2]
+                times = start + step * np.arange(len(data))
+            else:
+                times = values(structure["TimeR2"], "double")[:, 0]
+            unused = name if name not in found else f"{name}.{len(found) + 1}"
+            found[unused] = {"Time": times, "Data": np.squeeze(data)}
+
+        for item in file["#refs#"].values():
+            if isinstance(item, h5py.Group) and "Values" in item:
+                visit(item, "")
+    return found
+
+
 def main() -> None:
     """Read a MATLAB or HDF5 file and write its vectors and their names to an .npz file.
 
@@ -171,6 +243,7 @@ def main() -> None:
             start = file.read(520)
         if b"\x89HDF\r\n\x1a\n" in (start[:8], start[512:]):
             content = hdf5_content(source, int(limit))
+            content |= simulink_signals(source, int(limit))
         else:
             from scipy import io
 
