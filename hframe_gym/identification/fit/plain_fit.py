@@ -61,6 +61,8 @@ _LEAST_RATIO = 1e-3  # of friction to the declared one; a fit in logarithms need
 _WIDE_PRIOR = 1.0  # standard deviation of a logarithm; its limits are then a factor of 55
 _GUIDING_BANDWIDTH = 3.0  # rad/s, of an observer that leads an output-error fit to its solution
 _TERM_PRIOR = 10.0  # in typical sizes of a term
+_NO_LIMIT = 100.0  # times a declared limit; beyond the factor of 55 by which the fits change it
+_LARGEST_LIMIT = 1e9  # rad/s, m/s, Nm or N, that a machine file may state
 # Points at which a simulation is compared, and the best of them from which it is fitted, where nothing else leads to
 # the solution. On CED, three of 32 fitted points reach the minimum, and one of the best 16 of 64.
 _POINTS, _FITTED_POINTS = 64, 16
@@ -184,7 +186,10 @@ def _fitted(machine: Machine, data: Dataset, equal: Dataset) -> PlainFit | None:
         start, free = best.machine, wide_parameters(best.machine)
     else:
         # The torque of a drive with a law depends on its unknown gains: no inverse dynamics, but output error at once.
-        starts = starting_values(machine, data) if not machine.drive_laws else [(machine, offsets)]
+        # No balance shows a constant force then, so that it is tried from zero.
+        starts = (
+            starting_values(machine, data) if not machine.drive_laws else [(machine, _absent_forces(machine))]
+        )
         costs = [
             min(prediction_cost(m, equal, SIMULATION) for m in (start, start.with_effects(*offsets)))
             for start, offsets in starts
@@ -202,20 +207,25 @@ def _fitted(machine: Machine, data: Dataset, equal: Dataset) -> PlainFit | None:
             start, free = best.machine, wide_parameters(best.machine)
     present = {e.label for e in machine.effects}
     terms = tuple(e for e in _terms(start, offsets) if e.label not in present)
-    return _with_terms(start, best, terms, equal)
+    return _with_terms(start, best, terms, equal, _without_limits(machine) if machine.drive_laws else start)
 
 
-def _with_terms(start: Machine, without: Fit, terms: Sequence[AppliedEffect], equal: Dataset) -> PlainFit:
+def _with_terms(
+    start: Machine, without: Fit, terms: Sequence[AppliedEffect], equal: Dataset, other: Machine
+) -> PlainFit:
     """Add the terms that reduce the error, and tell those that the runs show from those that chance explains.
 
     A term is judged beside all others, because what another one lacks hides it: the terms are first added without a
     test, and then removed again, the least certain one first.
+
+    Args:
+        other: Machine from which a fit with a term begins, beside the fit without it.
     """
     fits = [without]
     for term in terms:
         if not goes_on():
             break
-        trial = _fit_with_term(start, fits[-1], term, equal)
+        trial = _fit_with_term(other, fits[-1], term, equal)
         if trial.cost < fits[-1].cost and not _ends_at_limit(trial, term):
             fits.append(trial)
     candidates = {term.label for term in terms}
@@ -269,8 +279,8 @@ def _ends_at_limit(fitted: Fit, term: AppliedEffect) -> bool:
 
 
 def _fit_with_term(start: Machine, fitted: Fit, term: AppliedEffect, equal: Dataset) -> Fit:
-    """Fit with one term more, from the fit without it and from the machine of the balance of forces."""
-    machine, parameters = fitted.machine, _term_parameters(term, start)
+    """Fit with one term more, from the fit without it and from another machine."""
+    machine, parameters = fitted.machine, _term_parameters(term, fitted.machine)
     trials = [fit(machine.with_effects(term), (*wide_parameters(machine), *parameters), equal, SIMULATION)]
     if not term.definition.delay:
         # Without the term, friction took its place, so that the way back from the fit may be barred.
@@ -284,7 +294,7 @@ def _fit_with_term(start: Machine, fitted: Fit, term: AppliedEffect, equal: Data
     # A size from the balance belongs to the inertia and friction there. Beside those of the fit without the term, it
     # led away: a fit that begins at that one can only become better.
     absent = dataclasses.replace(term, parameters=dict.fromkeys(term.parameters, 0.0))
-    free = (*wide_parameters(machine), *_term_parameters(absent, start))
+    free = (*wide_parameters(machine), *_term_parameters(absent, machine))
     return min(best, fit(machine.with_effects(absent), free, equal, SIMULATION), key=_finite_cost)
 
 
@@ -398,6 +408,24 @@ def wide_parameters(machine: Machine) -> tuple[FreeParameter, ...]:
 
     added = (phase for phase in phases if phase.name not in known and phase.name not in machine.ties)
     return (*map(widened, free), *added)
+
+
+def _absent_forces(machine: Machine) -> tuple[AppliedEffect, ...]:
+    """Return a constant force of size zero at each coordinate that is driven."""
+    driven = {drive.coordinate for drive in machine.drives}
+    constant = EFFECTS["constant_force"]
+    return tuple(constant.at(c.name, size=0.0) for c in machine.coordinates if c.name in driven)
+
+
+def _without_limits(machine: Machine) -> Machine:
+    """Return a machine whose drives reach no limit of speed or torque.
+
+    At a limit, the motion hardly depends on the gains, and a fit can end where friction takes nearly all of the torque.
+    """
+    limits = (f"{drive.name}.{name}" for drive in machine.drives for name in ("speed_limit", "torque_limit"))
+    known = machine.parameters
+    values = {name: min(_NO_LIMIT * known[name], _LARGEST_LIMIT) for name in limits if name in known}
+    return machine.replace(values)
 
 
 def _terms(machine: Machine, offsets: Sequence[AppliedEffect]) -> Iterable[AppliedEffect]:

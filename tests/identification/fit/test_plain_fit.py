@@ -102,6 +102,21 @@ def test_a_constant_force_is_a_term_of_the_plain_fit() -> None:
     assert plain.machine.parameters["constant_force@x.size"] == pytest.approx(1.5, rel=0.05)
 
 
+def test_a_constant_force_is_a_term_where_the_drive_follows_a_set_point_as_well() -> None:
+    """There is no balance of forces, because the torque depends on unknown gains."""
+    servo = BUILTIN_MACHINES["servo"]()
+    true = servo.with_effects(EFFECTS["constant_force"].at("horn", size=0.05))
+    rng = np.random.default_rng(0)
+    time_s = np.arange(0.0, 2.0, 5e-3)
+    commands = np.repeat(rng.uniform(-1.0, 1.0, len(time_s) // 40), 40)[:, None]
+    commands[:40] = 0.0
+    outputs = true.simulate(time_s, commands).outputs
+    run = Recording("run", time_s, commands, outputs + rng.normal(0.0, 1e-3, outputs.shape))
+    plain = plain_fit(servo, prepare([run], servo))
+    assert plain is not None
+    assert "constant_force@horn" in plain.terms
+
+
 @pytest.mark.parametrize(("lag", "terms"), [(0.05, ("input_delay@drives",)), (0.12, ())])
 def test_a_delay_at_the_limit_of_its_range_is_no_term(lag: float, terms: tuple[str, ...]) -> None:
     runs = measure(axis(TRUE), runs=2, seconds=2.0)
