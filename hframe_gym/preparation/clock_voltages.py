@@ -35,6 +35,8 @@ _JUMP, _ROUNDS = 4.0, 10
 # Rows of the cubic that stands for a regular clock: it follows a clock that drifts, and 2 % of the variance of jitter.
 _CLOCK_ROWS = 99
 _WANDERS = 2.0  # variance of the stamps around it / that of jitter, beyond which the steps are not regular
+# Stamps of equal steps scatter by 0.3 of the spacing of floating-point numbers; more than this multiple of it is jitter.
+_ROUNDING = 4.0
 
 
 class ClockVoltages(NamedTuple):
@@ -76,6 +78,8 @@ def clock_voltages(time_s: Array, inputs: Array, outputs: Array) -> ClockVoltage
     lateness, changes = np.diff(time_s, _DIFFERENCES), np.diff(inputs, _DIFFERENCES, axis=0)
     even = _without_jumps(lateness, np.ones(len(lateness), np.bool_))
     variance = float(np.mean(lateness[even] ** 2)) / _VARIANCE_OF_DIFFERENCES if even.any() else 0.0
+    if variance <= (_ROUNDING * float(np.spacing(np.abs(time_s).max()))) ** 2:
+        return found
     late = _lateness(time_s, variance)
     read = speeds[1 : 1 + len(lateness)] * lateness[:, None]  # what the controller reads too far, differenced
     for drive, of_drive in enumerate(changes.T):

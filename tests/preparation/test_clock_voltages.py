@@ -73,6 +73,15 @@ def test_without_answers_to_jitter_nothing_changes(jitter: float, stamps: float,
     assert clock.answers.std() < 0.03 * 10.0 * abs(ANSWER) * 100e-6
 
 
+def test_the_rounding_of_equal_steps_is_no_jitter() -> None:
+    _, logged, angles, *_ = controlled(2, jitter=0.0)
+    for start in (0.0, 1000.3, 1046.0):  # s
+        stamps = start + np.arange(len(logged)) * 2.0 * PERIOD
+        clock = clock_voltages(stamps, logged, angles)
+        assert not clock.impulses.any()
+        assert not clock.answers.any()
+
+
 def test_interpolated_voltages_lack_the_answers_to_the_jitter_of_the_rows() -> None:
     stamps, inputs, angles, *_, speed = controlled(4, jitter=100e-6)
     rows = with_clock_voltages(inputs, clock_voltages(stamps, inputs, angles), stamps, 4)
