@@ -35,7 +35,7 @@ _JUMP, _ROUNDS = 4.0, 10
 # Rows of the cubic that stands for a regular clock: it follows a clock that drifts, and 2 % of the variance of jitter.
 _CLOCK_ROWS = 99
 _WANDERS = 2.0  # variance of the stamps around it / that of jitter, beyond which the steps are not regular
-# Stamps of equal steps scatter by 0.3 of the spacing of floating-point numbers; more than this multiple of it is jitter.
+# Equal steps scatter by 0.3 of the spacing of floating-point numbers; more than this multiple of it is jitter.
 _ROUNDING = 4.0
 
 
