@@ -233,7 +233,7 @@ def _linearize(
         return whitened(residuals(run, data, predicted.readings), run, fitted.bandwidth)
 
     rows, displaced = np.split(residual_of(motion), [len(thetas)])
-    projection = InitialStateProjection.from_displaced(rows[0], displaced)
+    projection = InitialStateProjection.from_displaced(rows[0], displaced, start.differences)
     rows = np.vstack([rows, residual_of(delayed_motion)])
     # Where the simulation diverges with changed parameters, the residual counts as unchanged.
     rows = np.where(np.isfinite(rows).all(axis=1, keepdims=True), rows, rows[0])

@@ -187,5 +187,5 @@ def _errors_from_probable_start(
     )
     errors = prediction_error(run, data, motion.readings)
     residual = whitened(residuals(run, data, motion.readings), run, bandwidth)
-    amounts = probable_amounts(residual[0], residual[1:])
-    return np.asarray(errors[0] + np.tensordot(amounts, errors[1:] - errors[0], axes=1))
+    amounts = probable_amounts(residual[0], residual[1:], start.differences)
+    return np.asarray(errors[0] + np.tensordot(amounts / start.differences, errors[1:] - errors[0], axes=1))

@@ -101,7 +101,7 @@ def start_for_observer(machine: Machine, run: PreparedRecording, data: Dataset) 
     errors = residuals(run, data, motion.readings)
     # A model error reduces the weight of the data, so that a wrong machine cannot explain its error by the start.
     errors /= max(1.0, float(np.sqrt(np.mean(errors[0] ** 2))))
-    displaced = start.state + probable_amounts(errors[0], errors[1:]) @ start.displacements
+    displaced = start.state + probable_amounts(errors[0], errors[1:], start.differences) @ start.displacements
 
     def cost(state: Array) -> float:
         again = predict(machine, run, SEARCH_BANDWIDTH, period=data.period, initial_state=state)

@@ -274,7 +274,7 @@ class ExpansionPoint:
             longest_step=model.longest_step,
             states=states,
         )
-        residual, projection = projected(model.residuals(run, motion.readings), len(start.displacements))
+        residual, projection = projected(model.residuals(run, motion.readings), start.differences)
         return residual, projection, motion
 
 

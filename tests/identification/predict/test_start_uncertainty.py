@@ -44,7 +44,7 @@ def simulation_projection(machine: Machine, data: Dataset) -> InitialStateProjec
     run = data.runs[0]
     start = uncertain_starts(machine, data.runs)[run.name]
     motion = predict_with_displaced_starts(machine, run, SIMULATION, start, period=data.period)
-    return projected(residuals(run, data, motion.readings), len(start.displacements))[1]
+    return projected(residuals(run, data, motion.readings), start.differences)[1]
 
 
 def test_initial_stretch_is_projected_out_of_a_simulation(hframe: Machine) -> None:
