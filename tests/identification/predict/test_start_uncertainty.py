@@ -17,7 +17,7 @@ from hframe_gym.identification.fit.start_estimation import (
     with_probable_starts,
 )
 from hframe_gym.identification.predict.free_parameters import default_free_parameters
-from hframe_gym.identification.predict.prediction import SIMULATION, residuals
+from hframe_gym.identification.predict.prediction import SIMULATION, predict, residuals
 from hframe_gym.identification.predict.start_uncertainty import (
     InitialStateProjection,
     predict_with_displaced_starts,
@@ -73,6 +73,30 @@ def test_projection_of_a_machine_close_to_divergence_does_not_overflow(hframe: M
 def test_no_projection_without_belts(axis: Machine) -> None:
     data = prepare([moving_run(axis, rest_state(axis))], axis)
     assert simulation_projection(axis, data) is None
+
+
+def test_the_influence_of_a_rest_of_unknown_length_is_removed(axis: Machine) -> None:
+    """Friction after a rest is known to six e-folds only; over all of them, it moves the axis by no linear law."""
+    machine = axis.with_effects(EFFECTS["dwell_friction"].at("x", dF=0.5, tau=0.02, D=1e-4))
+    state = np.append(rest_state(axis), np.log(1.0 + 2.0 / 0.02))  # after a rest of 2 s
+    time_s = np.arange(600) * 1e-3
+    inputs = np.where(time_s < 0.05, 0.0, 2.0)[:, None]
+    outputs = simulate(machine, time_s, inputs, state, longest_step=0.125e-3).outputs
+    noise = np.random.default_rng(0).normal(0.0, 2e-5, outputs.shape)
+    data = prepare([Recording("run", time_s, inputs, outputs + noise)], machine)
+    states = data.runs[0].initial.with_start(machine, state).effect_states
+    initial = dataclasses.replace(data.runs[0].initial, effect_states=states)
+    run = dataclasses.replace(data.runs[0], initial=initial)
+    start = uncertain_starts(machine, [run])[run.name]
+    motion = predict_with_displaced_starts(machine, run, SIMULATION, start, period=data.period)
+    projection = projected(residuals(run, data, motion.readings), start.differences)[1]
+    assert projection is not None
+    longer = start.state + 0.05 * start.displacements[-1]
+    both = np.vstack([start.state, longer])
+    motion = predict(machine, run, SIMULATION, period=data.period, initial_state=both)
+    here, there = residuals(run, data, motion.readings)
+    left = projection((there - here)[None])[0]
+    assert np.sum(left**2) < 0.01 * np.sum((there - here) ** 2)
 
 
 def test_a_run_that_began_with_stretched_belts_is_simulated_from_that_stretch(hframe: Machine) -> None:
