@@ -50,9 +50,10 @@ def run(name: str, seed: int, indices: list[int], out: Path, cache: Path = CACHE
         if (before["seed"], before["entry"]) == (content["seed"], content["entry"]):
             content = before
     done = {row["plant"]: row for row in content["plants"]}
+    scored_by = results.commit()
 
     def keep(row: dict[str, object]) -> None:
-        content["plants"].append(row)
+        content["plants"].append({**row, "commit": scored_by})
         results.write(path, content)
         print(f"{name} plant {row['plant']}", flush=True)
 

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shutil
+import subprocess
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,6 +25,7 @@ from hframe_gym.errors import InputError
 from hframe_gym.evaluation import result_versions
 from hframe_gym.files import write_text
 from tests.reference_simulator import Array
+from tools.repository import ROOT
 
 SCHEMA = 1
 SETTLED = "settling_s.0.2mm"
@@ -56,6 +59,16 @@ def new_content(name: str, entry: type[GapEntry], seed: int) -> dict[str, Any]:
         "versions": result_versions(),
         "plants": [],
     }
+
+
+def commit() -> str | None:
+    """Return the commit of this checkout, with "-dirty" where files differ from it; None if it is no checkout."""
+    git = shutil.which("git")
+    if git is None:
+        return None
+    command = [git, "describe", "--always", "--dirty", "--abbrev=8", "--exclude=*"]
+    described = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    return described.stdout.strip() or None
 
 
 def write(path: Path, content: dict[str, Any]) -> None:

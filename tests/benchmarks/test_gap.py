@@ -319,8 +319,10 @@ def test_practice_moves_the_model_towards_the_plant() -> None:
     assert errors[1] < errors[0]
 
 
-def test_run_continues_and_keeps_the_result(tmp_path: Path) -> None:
+def test_run_continues_and_keeps_the_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     name = f"{__name__}:Still"
+    commits = iter(["5f2c8c82", "5f2c8c82-dirty"])
+    monkeypatch.setattr(results, "commit", lambda: next(commits))
     path = run(name, PUBLIC_SEED, [0], tmp_path, tmp_path / "cache")
     first = results.read(path)
     assert [row["plant"] for row in first["plants"]] == [0]
@@ -328,6 +330,7 @@ def test_run_continues_and_keeps_the_result(tmp_path: Path) -> None:
     again = results.read(run(name, PUBLIC_SEED, [0, 1], tmp_path, tmp_path / "cache"))
     assert again["plants"][0] == first["plants"][0]
     assert [row["plant"] for row in again["plants"]] == [0, 1]
+    assert [row["commit"] for row in again["plants"]] == ["5f2c8c82", "5f2c8c82-dirty"]
     assert "still" in overview(read_all(tmp_path))
 
 
