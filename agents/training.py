@@ -22,6 +22,7 @@ from ..envs import EnvConfig, Task
 from ..errors import InputError
 from ..evaluation import Scenario, result_versions
 from ..files import atomic_file, complete_commit, locked_folder, newest, output_batch
+from ..line_log import LineLog
 from ..machine import Machine
 from ..recordings import load_machine
 from .agent import Agent, load_weights, policy_class, policy_keywords, same_parameters
@@ -47,7 +48,6 @@ SEED_STRIDE = 100_000
 EVALUATIONS_PER_RUN = 12
 SHORTEST_INTERVAL = 2_000  # environment steps between evaluations
 
-Log = Callable[[str], None]
 Progress = Callable[[int, int], None]
 
 
@@ -63,7 +63,7 @@ def train(
     resume: bool = False,
     trust: bool = False,
     force: bool = False,
-    log: Log = print,
+    log: LineLog = print,
     progress: Progress = lambda done, total: None,
 ) -> dict[str, Any]:
     """Train an agent by a recipe (settings of a training run) and write its version with the best scores to a folder.
@@ -144,7 +144,7 @@ class _Run:
         task: str,
         seed: int,
         folder: Path,
-        log: Log,
+        log: LineLog,
         progress: Progress,
     ) -> None:
         self.recipe, self.machine, self.seed, self.folder = recipe, machine, seed, folder

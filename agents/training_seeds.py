@@ -9,6 +9,7 @@ from typing import Any
 
 from ..errors import InputError
 from ..files import files_of, newest, output_batch, write_files
+from ..line_log import LineLog
 from ..machine import Machine
 from ..parallel import map_tasks
 from ..recordings import load_machine
@@ -16,7 +17,7 @@ from .agent_files import RESUME_FILES, refuse_to_replace
 from .checkpoint_signature import sign_checkpoint
 from .optional_dependencies import require_training_packages
 from .recipe import Recipe, build_task, load_recipe, require_transfers
-from .training import Log, Progress, train
+from .training import Progress, train
 
 
 def train_seeds(
@@ -29,7 +30,7 @@ def train_seeds(
     randomize: str | None = None,
     out: str | Path = "agents",
     force: bool = False,
-    log: Log = print,
+    log: LineLog = print,
     progress: Progress = lambda done, total: None,
     jobs: int = 1,
     ray: str | None = None,

@@ -6,13 +6,13 @@ import os
 import secrets
 import socket
 import webbrowser
-from collections.abc import Callable
 from http.cookies import SimpleCookie
 from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs
 
 from ..errors import InputError, naming_extra
+from ..line_log import LineLog
 from .session import Session
 
 HOST = "127.0.0.1"
@@ -78,7 +78,7 @@ class TokenGate:
         await send({"type": "http.response.body", "body": _REFUSED})
 
 
-def serve(folder: Path, port: int, *, open_browser: bool, log: Callable[[str], None]) -> None:
+def serve(folder: Path, port: int, *, open_browser: bool, log: LineLog) -> None:
     """Serve the window of a session until the process is interrupted.
 
     Args:

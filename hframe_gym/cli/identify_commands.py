@@ -17,6 +17,7 @@ from typer import Argument, Option
 
 from ..errors import InputError
 from ..files import files_of, locked_folder, output_batch, output_folder, remove_file, write_files
+from ..line_log import LineLog
 from ..parallel import map_tasks
 from .application import CommandWithChoices, app
 from .identify_steps import check_recordings_before_fit, proposed_formulas, require_several_runs, rig_folders
@@ -38,7 +39,6 @@ if TYPE_CHECKING:
     from ..machine import Machine
     from ..recordings import Recording
 
-_Log = Callable[[str], None]
 _REPORT_S = 6.0  # processor time for report.json and report.html; libraries and plots took 5 s on busy cores
 _INTERRUPTED = 130  # exit code after Ctrl-C, as of every command; the result of the search so far was written
 _Identification = Callable[..., Any]  # `_check_and_identify` with the options of the command
@@ -183,7 +183,7 @@ def _check_and_identify(
     budget_s: float | None,
     folder: Path,
     recordings: list[Recording],
-    log: _Log,
+    log: LineLog,
     progress: Progress | None = None,
     spent: float = 0.0,
 ) -> tuple[IdentificationResult, list[Finding]]:
@@ -207,7 +207,7 @@ def _write_rig(
     runs_dir: Path,
     folder: Path,
     out: Path,
-    log: _Log,
+    log: LineLog,
 ) -> tuple[Report, Exception | None]:
     """Write the files of a result to a folder; an error in report.html is returned, so that the others are kept.
 

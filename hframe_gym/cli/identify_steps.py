@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import InputError
+from ..line_log import LineLog
 
 if TYPE_CHECKING:
     from ..data_validation import Finding
@@ -43,7 +44,7 @@ def require_several_runs(recordings: Sequence[Recording], folder: Path) -> None:
 
 
 def check_recordings_before_fit(
-    recordings: Sequence[Recording], machine: Machine, refuse: Path | None, log: Callable[[str], None]
+    recordings: Sequence[Recording], machine: Machine, refuse: Path | None, log: LineLog
 ) -> list[Finding]:
     """Check recordings before an identification, print the faults, and stop if there is one.
 
@@ -73,9 +74,7 @@ def check_recordings_before_fit(
     return findings
 
 
-def proposed_formulas(
-    result: IdentificationResult, log: Callable[[str], None]
-) -> tuple[TableComparison, ...]:
+def proposed_formulas(result: IdentificationResult, log: LineLog) -> tuple[TableComparison, ...]:
     """Propose formulas for the forces that an identification could only describe by tables of values.
 
     Such a table stands for a force that no known effect explains. Without scikit-learn, nothing is proposed,

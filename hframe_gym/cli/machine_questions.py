@@ -6,7 +6,7 @@ import dataclasses
 import math
 import re
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from typing import Any
 import typer
 
 from ..errors import InputError
+from ..line_log import LineLog
 from ..machine import Machine, motion_limits
 from ..operating_system import quoted
 from ..recordings import (
@@ -60,7 +61,7 @@ class MachineAnswers:
         return MachineOptions(**{**self.given, **lists, "values": values})
 
 
-def create_machine_file(answers: MachineAnswers, force: bool, log: Callable[[str], None]) -> None:
+def create_machine_file(answers: MachineAnswers, force: bool, log: LineLog) -> None:
     """Write a new machine.json from the options of `hframe machines new`, and print the limits of its motion.
 
     If template and file are given, values that are not given are those of the template. Otherwise, `ask` asks on the
@@ -111,7 +112,7 @@ def motion_lines(machine: Machine) -> list[str]:
     return lines
 
 
-def ask(answers: MachineAnswers, log: Callable[[str], None], force: bool = False) -> MachineAnswers:
+def ask(answers: MachineAnswers, log: LineLog, force: bool = False) -> MachineAnswers:
     """Ask on the terminal for each option of `hframe machines new` that is not given, including the file to write.
 
     Enter accepts the value of the template. After an invalid answer, the question is repeated.
@@ -157,9 +158,7 @@ def ask(answers: MachineAnswers, log: Callable[[str], None], force: bool = False
     return answers
 
 
-def _ask_value(
-    answers: MachineAnswers, question: TemplateQuestion, log: Callable[[str], None]
-) -> MachineAnswers:
+def _ask_value(answers: MachineAnswers, question: TemplateQuestion, log: LineLog) -> MachineAnswers:
     """Ask for the value of an option until it can be used, and return the answers with it."""
     option, text = question.option, question.text
     default = _NONE if question.several else question.default
@@ -182,7 +181,7 @@ def _with_linear_sensor(answers: MachineAnswers) -> MachineAnswers:
     return answers.with_answer("linear_sensor", True)
 
 
-def _is_usable(answers: MachineAnswers, log: Callable[[str], None]) -> bool:
+def _is_usable(answers: MachineAnswers, log: LineLog) -> bool:
     """Return whether a machine can be made with the answers; otherwise say why not, without the names of options."""
     try:
         new_machine(answers.like, "template", answers.options())

@@ -13,6 +13,7 @@ from types import FrameType
 from typing import TYPE_CHECKING
 
 from .. import progress_records
+from ..line_log import LineLog
 from .output import console, plain_text
 
 if TYPE_CHECKING:
@@ -58,7 +59,7 @@ def _record_printer() -> Callable[..., None]:
 
 
 @contextmanager
-def search_progress(log: Callable[[str], None]) -> Iterator[Callable[[str, float, float], None]]:
+def search_progress(log: LineLog) -> Iterator[Callable[[str, float, float], None]]:
     """Show what a search does during the `with` block: a line at the bottom of a terminal, plain lines elsewhere.
 
     Args:

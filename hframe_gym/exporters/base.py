@@ -6,7 +6,7 @@ import dataclasses
 import hashlib
 import json
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -19,6 +19,7 @@ from typing_extensions import override
 from .. import option_texts
 from ..errors import InputError
 from ..files import output_folder, write_files
+from ..line_log import LineLog
 from ..machine import Coordinate, Machine, rest_positions_per_axis, rest_state
 from ..recordings import load_machine, machine_to_dict
 from ..registry import Registry
@@ -64,7 +65,7 @@ class Exporter(ABC):
         return next(name for name in EXPORTERS if EXPORTERS.get(name) is type(self))
 
     @abstractmethod
-    def write(self, out: str | Path, log: Callable[[str], None] = lambda line: None) -> None:
+    def write(self, out: str | Path, log: LineLog = lambda line: None) -> None:
         """Write the export; its files appear together when they are complete, or none does.
 
         Args:
@@ -96,7 +97,7 @@ class MachineExporter(Exporter):
         return self.machine if isinstance(self.machine, Machine) else load_machine(self.machine)
 
     @override
-    def write(self, out: str | Path, log: Callable[[str], None] = lambda line: None) -> None:
+    def write(self, out: str | Path, log: LineLog = lambda line: None) -> None:
         """Write the files of the export.
 
         Args:
@@ -149,7 +150,7 @@ class MachineExporter(Exporter):
         return [plain(line) for line in lines]
 
 
-def write_export(folder: Path, files: Files, log: Callable[[str], None]) -> None:
+def write_export(folder: Path, files: Files, log: LineLog) -> None:
     """Write the files of an export to a folder, all together or none, and log the path of each."""
     contents = {name: text.encode() if isinstance(text, str) else text for name, text in files.items()}
     write_files(folder, contents)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ from typing_extensions import override
 from .. import option_texts
 from ..errors import InputError
 from ..files import output_folder
+from ..line_log import LineLog
 from ..machine import Machine
 from ..option_texts import MAX_EPISODES, MAX_SEED
 from .base import EXPORTERS, Exporter, argument, option
@@ -44,7 +44,7 @@ class DatasetExporter(Exporter):
     )
 
     @override
-    def write(self, out: str | Path, log: Callable[[str], None] = lambda line: None) -> None:
+    def write(self, out: str | Path, log: LineLog = lambda line: None) -> None:
         """Write the data sets; each appears when it is complete."""
         from ..evaluation import Scenario, dataset_controller, export_dataset
 

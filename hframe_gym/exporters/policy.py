@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import warnings
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from typing_extensions import override
 
 from ..errors import InputError
 from ..files import output_folder
+from ..line_log import LineLog
 from ..machine import observed_coordinates
 from ..version import NAME_AND_VERSION
 from .base import EXPORTERS, Exporter, argument, json_text, option, write_export
@@ -44,11 +44,11 @@ class PolicyExporter(Exporter):
     task: str = option("reach", "Task of a shipped agent: {tasks}.")
 
     @override
-    def write(self, out: str | Path, log: Callable[[str], None] = lambda line: None) -> None:
+    def write(self, out: str | Path, log: LineLog = lambda line: None) -> None:
         folder = output_folder(out)
         write_export(folder, self.files(log), log)
 
-    def files(self, log: Callable[[str], None] = lambda line: None) -> dict[str, bytes]:
+    def files(self, log: LineLog = lambda line: None) -> dict[str, bytes]:
         """Convert the agent to the content of each file; the log gets a line that says why a file is missing.
 
         Raises:

@@ -15,6 +15,7 @@ from functools import partial
 from pathlib import Path
 
 from ..errors import InputError
+from ..line_log import LineLog
 from ..machine import Machine
 from ..operating_system import reused_memory
 from ..parallel import single_threaded_linear_algebra
@@ -25,7 +26,6 @@ from ..preparation.session import Session, prepare_session
 from ..recordings import Recording, load_machine
 from ..registry import load_plugins
 from .budget import COMPARISON_PART, DEFAULT_SECONDS, LAST_STAGE_END, Budget, BudgetEndedError
-from .evidence.tried_effects import Log
 from .fit.run_differences import RunDifferencesInWords, describe_run_differences
 from .judge.criteria import SelectionCriteria
 from .report.assembly import build_result
@@ -48,7 +48,7 @@ def identify(
     *,
     held_out: Sequence[str] = (),
     criteria: SelectionCriteria | None = None,
-    log: Log | None = None,
+    log: LineLog | None = None,
     budget: float | Budget | None = None,
 ) -> IdentificationResult:
     """Identify the effects (deviations such as friction curves or backlash) that a machine's model lacks.
@@ -147,7 +147,7 @@ def _require_types(recordings: object, held_out: object, criteria: object, budge
         raise InputError(f"budget is {budget!r}; give seconds of processor time, or math.inf")
 
 
-def _budget(budget: float | Budget | None, recordings: Sequence[Recording], log: Log) -> Budget:
+def _budget(budget: float | Budget | None, recordings: Sequence[Recording], log: LineLog) -> Budget:
     """Return the processor time that the identification may take, and log it."""
     if not isinstance(budget, Budget):
         budget = Budget(DEFAULT_SECONDS if budget is None else budget)
@@ -158,7 +158,7 @@ def _budget(budget: float | Budget | None, recordings: Sequence[Recording], log:
 
 
 def _without_copies(
-    recordings: Sequence[Recording], held_out: Sequence[str], log: Log
+    recordings: Sequence[Recording], held_out: Sequence[str], log: LineLog
 ) -> tuple[list[Recording], tuple[str, ...]]:
     """Return the runs without copies of others, and a sentence about each; a run that the user holds out is kept."""
     copies = copied_runs(recordings, held_out)
@@ -169,7 +169,7 @@ def _without_copies(
 
 
 def _without_silent_runs(
-    session: Session, held_names: Sequence[str], log: Log
+    session: Session, held_names: Sequence[str], log: LineLog
 ) -> tuple[Dataset, tuple[str, ...]]:
     """Return the runs without those that should move but do not, and a sentence about each of these."""
     silent = runs_that_should_move(session.data, session.machine, moving_runs(session.recordings))

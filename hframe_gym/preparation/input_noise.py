@@ -10,11 +10,11 @@ drive follows it, so it must stay as it is. It is recognized by the measurements
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 
 import numpy as np
 
 from ..arrays import Array
+from ..line_log import LineLog
 from ..machine import Machine
 from ..recordings import Recording
 from ..robust_statistics import white_noise
@@ -99,9 +99,7 @@ def noisy_inputs(recording: Recording, machine: Machine) -> list[int]:
     return found
 
 
-def without_input_noise(
-    recording: Recording, machine: Machine, log: Callable[[str], object] | None = None
-) -> Recording:
+def without_input_noise(recording: Recording, machine: Machine, log: LineLog | None = None) -> Recording:
     """Average inputs that were measured with much noise over 17 ms, centered, so that nothing is delayed.
 
     Args:

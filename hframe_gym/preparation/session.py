@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from ..arrays import Array
 from ..errors import merge_run_warnings
+from ..line_log import LineLog
 from ..machine import Machine
 from ..recordings import Recording, fill_gaps
 from .clock_jitter import clock_jitter, noise_by_row
@@ -59,7 +60,7 @@ def prepare_session(
     recordings: Sequence[Recording],
     machine: Machine,
     criteria: SaturationCriteria,
-    log: Callable[[str], object],
+    log: LineLog,
 ) -> Session:
     """Prepare all runs of a session for a fit, and log what is not used.
 
@@ -94,7 +95,7 @@ def _prepared(
     recordings: Sequence[Recording],
     machine: Machine,
     criteria: SaturationCriteria,
-    log: Callable[[str], object],
+    log: LineLog,
 ) -> Session:
     """Prepare all runs of a session with the directions of the drives of this machine."""
     usable = [usable_run(recording, machine, log).usable for recording in recordings]

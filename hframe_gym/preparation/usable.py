@@ -9,12 +9,13 @@ are averaged.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from ..arrays import Array
+from ..line_log import LineLog
 from ..machine import Machine
 from ..recordings import (
     Recording,
@@ -48,9 +49,7 @@ class UsableRun(NamedTuple):
     usable: Recording
 
 
-def usable_run(
-    recording: Recording, machine: Machine, log: Callable[[str], object] | None = None
-) -> UsableRun:
+def usable_run(recording: Recording, machine: Machine, log: LineLog | None = None) -> UsableRun:
     """Remove measurements that are not usable from a run, except those at the end of a sensor's range.
 
     Args:
@@ -127,16 +126,14 @@ def without_unknown_voltage(recording: Recording, machine: Machine) -> Recording
     return dataclasses.replace(recording, outputs=outputs)
 
 
-def _log_wraps(recording: Recording, machine: Machine, log: Callable[[str], object]) -> None:
+def _log_wraps(recording: Recording, machine: Machine, log: LineLog) -> None:
     """Log the angles and counters that wrap."""
     for channel, wrap in wraps_of(recording, machine).items():
         unit = machine.sensor_unit(machine.sensor(channel))
         log(f"{recording.name}: {channel} {wrap.describe(unit)}")
 
 
-def _log_repetitions(
-    before: Recording, after: Recording, machine: Machine, log: Callable[[str], object]
-) -> None:
+def _log_repetitions(before: Recording, after: Recording, machine: Machine, log: LineLog) -> None:
     """Log the sensors that are slower than the log."""
     for channel, values, kept in zip(machine.output_channels, before.outputs.T, after.outputs.T, strict=True):
         if repeated := int(np.isfinite(values).sum() - np.isfinite(kept).sum()):

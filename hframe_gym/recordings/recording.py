@@ -16,6 +16,7 @@ import numpy as np
 from ..arrays import Array
 from ..errors import InputError
 from ..files import atomic_file
+from ..line_log import LineLog
 from ..machine import DRIVE_KINDS, Drive, Machine, Trajectory
 from .machine_file import load_machine
 from .quantities import split_unit
@@ -66,7 +67,7 @@ def load_recordings(
     progress: Callable[[int, int], None] | None = None,
     *,
     max_rows: int | None = None,
-    log: Callable[[str], None] = print,
+    log: LineLog = print,
 ) -> list[Recording]:
     """Load and check all recordings of a folder, one run of a machine per file.
 

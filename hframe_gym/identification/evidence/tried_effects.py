@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 from dataclasses import dataclass
 
 from ...machine import AppliedEffect, Machine
 from ..fit.estimation import Fit
-
-Log = Callable[[str], None]
 
 
 @dataclass(frozen=True)

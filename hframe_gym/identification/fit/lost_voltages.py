@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -28,10 +27,11 @@ from scipy.interpolate import CubicSpline
 from scipy.sparse.linalg import spsolve
 
 from ...arrays import Array
+from ...line_log import LineLog
 from ...machine import Machine
 from ...preparation.dataset import Dataset, PreparedRecording
 from ..judge.error import FitError
-from ..judge.run import commands_are_held_over_gaps, may_change_between_rows, replaces_held_commands
+from ..judge.voltages import commands_are_held_over_gaps, may_change_between_rows, replaces_held_commands
 from ..predict.free_parameters import default_free_parameters
 from ..predict.prediction import SEARCH_BANDWIDTH, innovation_variance, map_runs
 from ..predict.voltage_responses import voltage_responses
@@ -66,9 +66,7 @@ class LostVoltages(NamedTuple):
     held: bool = False
 
 
-def with_lost_voltages(
-    machine: Machine, data: Dataset, held_out: Dataset, log: Callable[[str], object]
-) -> LostVoltages:
+def with_lost_voltages(machine: Machine, data: Dataset, held_out: Dataset, log: LineLog) -> LostVoltages:
     """Estimate the voltages in rows that the logger dropped, with the machine refitted to the fitted runs.
 
     Args:

@@ -20,7 +20,7 @@ from ...machine import Machine
 from ...preparation.dataset import Dataset
 from ..judge.criteria import SelectionCriteria
 from ..judge.error import required_gain
-from ..judge.run import (
+from ..judge.voltages import (
     UpdatesEvidence,
     another_rate_explains_more,
     interpolation_suffices,

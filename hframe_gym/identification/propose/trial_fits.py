@@ -258,7 +258,7 @@ def _periodic_resemblances(screening: Screening, label: str) -> list[Resemblance
 
 
 def replacement_fit(
-    current: Fit, label: str, screened: ScreenedFit, plain: Machine, criteria: SelectionCriteria
+    current: Fit, label: str, screened: ScreenedFit, refitted: Machine, criteria: SelectionCriteria
 ) -> tuple[Fit, Fit] | None:
     """Replace one selected effect by the most promising other effect and fit the machine again.
 
@@ -268,7 +268,7 @@ def replacement_fit(
         current: Fit with all selected effects.
         label: Label (name@component) of the effect to replace.
         screened: This fit with its candidates, and with this effect among those that may be replaced.
-        plain: Machine before effects were added (`without_effect`).
+        refitted: Machine before effects were added (`without_effect`).
         criteria: Decision threshold `linear_gain_ratio`.
 
     Returns:
@@ -282,7 +282,7 @@ def replacement_fit(
     data, (ranked, gain) = screened.screening.data, screened.screening.in_place_of(label)
     if not ranked or not judge.may_replace(ranked[0].gain, gain, criteria):
         return None
-    reduced = without_effect(current, label, data, plain, thorough=False)
+    reduced = without_effect(current, label, data, refitted, thorough=False)
     if reduced is None:
         return None
     trial = fit_with_candidate(reduced, ranked[0], screened.scales, data)
@@ -486,12 +486,12 @@ def converge(trial: Fit, data: Dataset, *, thorough: bool) -> Fit:
     return min(continued, again, key=lambda candidate_fit: candidate_fit.cost)
 
 
-def machine_without(machine: Machine, label: str, plain: Machine) -> Machine | None:
+def machine_without(machine: Machine, label: str, refitted: Machine) -> Machine | None:
     """Return a machine without one of its effects, with the same parameters.
 
     Args:
         label: Label of the effect: its name and the component on which it acts, such as "cogging@motor1".
-        plain: Machine before effects were added. It is used only if the effect is structural (adds coordinates).
+        refitted: Machine before effects were added. It is used only if the effect is structural (adds coordinates).
 
     Returns:
         Copy of the machine; None if another effect requires the effect or acts on a coordinate that the effect adds.
@@ -503,7 +503,7 @@ def machine_without(machine: Machine, label: str, plain: Machine) -> Machine | N
     if not removed.definition.structure:
         return machine.replace(effects=others)
     try:
-        reduced = plain.with_effects(*(e for e in others if e not in plain.effects))
+        reduced = refitted.with_effects(*(e for e in others if e not in refitted.effects))
     except ValueError:
         return None  # a site is missing
     parameters = reduced.parameters
@@ -511,20 +511,20 @@ def machine_without(machine: Machine, label: str, plain: Machine) -> Machine | N
 
 
 def without_effect(
-    current: Fit, label: str, data: Dataset, plain: Machine, *, thorough: bool = True
+    current: Fit, label: str, data: Dataset, refitted: Machine, *, thorough: bool = True
 ) -> Fit | None:
     """Remove one effect from the machine and fit the remaining free parameters again.
 
     Args:
         current: Fit of the machine with the effect; the new one has the same observer bandwidth.
         label: Label of the effect: its name and the component on which it acts, such as "cogging@motor1".
-        plain: Machine before effects were added. It is used only if the effect is structural (adds coordinates).
+        refitted: Machine before effects were added. It is used only if the effect is structural (adds coordinates).
         thorough: Whether to fit until convergence with the shortest integration step, rather than with few iterations.
 
     Returns:
         The fit; None if another effect requires the effect or acts on a coordinate that the effect adds.
     """
-    machine = machine_without(current.machine, label, plain)
+    machine = machine_without(current.machine, label, refitted)
     if machine is None:
         return None
     removed = next(e for e in current.machine.effects if e.label == label)

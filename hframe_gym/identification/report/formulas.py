@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -25,6 +25,7 @@ import numpy as np
 from ...effects.formulas import Formula, FormulaEffect, curve_of_table, fit_formulas, terms_of_table
 from ...effects.smooth_table import KNOTS, TABLE_FAMILY
 from ...errors import InputError
+from ...line_log import LineLog
 from ...machine import AppliedEffect, Machine
 from ..fit.channel_errors import channel_errors
 from ..fit.estimation import Fit, fit, prediction_cost
@@ -207,7 +208,7 @@ def propose_formulas(machine: Machine, table: AppliedEffect) -> tuple[ProposedFo
 
 
 def compare_formulas(
-    result: IdentificationResult, log: Callable[[str], None] = lambda line: None
+    result: IdentificationResult, log: LineLog = lambda line: None
 ) -> tuple[TableComparison, ...]:
     """Propose formulas for each table of an identified machine and compare their errors with the table's error.
 

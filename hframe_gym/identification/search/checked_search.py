@@ -11,13 +11,14 @@ from functools import partial
 from typing import NamedTuple
 
 from ...arrays import Array
+from ...line_log import LineLog
 from ...machine import Machine
 from ...preparation.dataset import Dataset, with_known_positions
 from ...preparation.excerpt import LARGEST_FIT, NORMAL_SESSION, describe_part, representative_part
 from ..budget import LAST_STAGE_END, SECOND_SEARCH_PART, Budget, BudgetEndedError, stage_ends
 from ..evidence.effect_variables import describes_one_run
 from ..evidence.held_out import contradicting_held_out_runs, shown_effects, worsens_simulation
-from ..evidence.tried_effects import Log, SelectedEffect
+from ..evidence.tried_effects import SelectedEffect
 from ..fit.estimation import Fit, fit
 from ..fit.lost_voltages import held_over_gaps, with_lost_voltages
 from ..fit.model_error import contradicting_run
@@ -116,7 +117,7 @@ def find_effects(
     *,
     may_exchange: bool,
     criteria: SelectionCriteria,
-    log: Log,
+    log: LineLog,
     budget: Budget,
     before_search: BeforeSearch,
 ) -> CheckedOutcome:
@@ -155,7 +156,7 @@ def find_effects(
 
 
 def _with_input_timing(
-    outcome: SearchOutcome, held_out: Dataset, criteria: SelectionCriteria, log: Log, budget: Budget
+    outcome: SearchOutcome, held_out: Dataset, criteria: SelectionCriteria, log: LineLog, budget: Budget
 ) -> SearchOutcome:
     """Return an outcome with a delay or lag of the drives if there is one; as it is where the budget ends before."""
     try:
@@ -216,7 +217,7 @@ def _search_and_check(
     all_runs: Dataset,
     held_names: Sequence[str],
     criteria: SelectionCriteria,
-    log: Log,
+    log: LineLog,
     budget: Budget,
     before_search: BeforeSearch,
 ) -> CheckedOutcome:
@@ -242,7 +243,7 @@ def _search_with(
     agreeing: Sequence[str],
     machine: Machine,
     criteria: SelectionCriteria,
-    log: Log,
+    log: LineLog,
     budget: Budget,
     before_search: BeforeSearch,
 ) -> CheckedOutcome:
@@ -293,7 +294,7 @@ def _divided(
     all_runs: Dataset,
     held_names: Sequence[str],
     criteria: SelectionCriteria,
-    log: Log,
+    log: LineLog,
     budget: Budget,
 ) -> _Runs:
     """Return the runs to fit and those held out, without one that alone differs, and the machine refitted to them."""
@@ -328,7 +329,7 @@ def _divided(
     )
 
 
-def _agreeing_runs(runs: _Runs, machine: Machine, log: Log) -> tuple[Fit, Dataset]:
+def _agreeing_runs(runs: _Runs, machine: Machine, log: LineLog) -> tuple[Fit, Dataset]:
     """Return the runs that show what voltages do between the rows, and the machine refitted to them.
 
     The error of a run that contradicts the others would hide what the voltages cause.
@@ -367,7 +368,7 @@ def interpolated(
     updates: int,
     data: Dataset,
     held_out: Dataset,
-    log: Log,
+    log: LineLog,
     *,
     fitted_with_errors: bool,
     agreeing: Sequence[str],
@@ -410,7 +411,7 @@ def _search(
     *,
     refitted: Fit,
     criteria: SelectionCriteria,
-    log: Log,
+    log: LineLog,
     budget: Budget,
 ) -> CheckedOutcome:
     """Search for effects in the fitted runs or a part of them, fit them to all rows, and compare with held-out runs."""
@@ -444,7 +445,7 @@ def _search(
     return CheckedOutcome(outcome, held_out, differing, plain=plain)
 
 
-def _start(machine: Machine, data: Dataset, plain: PlainFit | None, log: Log) -> Machine:
+def _start(machine: Machine, data: Dataset, plain: PlainFit | None, log: LineLog) -> Machine:
     """Return the machine from which the refit starts: as declared, or with inertia and friction of the plain fit."""
     start = better_start(machine, data, plain)
     if start is not machine:
@@ -462,7 +463,7 @@ def _contradicting_runs(outcome: SearchOutcome, held_out_runs: Dataset) -> tuple
     return contradicting_held_out_runs(outcome.after, outcome.before.machine, outcome.selected, refined)
 
 
-def _runs_to_exchange(found: CheckedOutcome, log: Log) -> list[str]:
+def _runs_to_exchange(found: CheckedOutcome, log: LineLog) -> list[str]:
     """Return the fitted runs to hold out instead, if every held-out run contradicts the fitted ones; otherwise none.
 
     Either something was wrong with the held-out runs, or only they excite an effect.
@@ -506,7 +507,7 @@ def _hint(found: CheckedOutcome, exchanged: CheckedOutcome) -> str:
     return _HINT.format(effects, ", ".join(found.differing))
 
 
-def without_unconfirmed(outcome: SearchOutcome, held_out: Dataset, log: Log) -> SearchOutcome:
+def without_unconfirmed(outcome: SearchOutcome, held_out: Dataset, log: LineLog) -> SearchOutcome:
     """Remove effects that do not reduce the error of the held-out runs, weakest first.
 
     The held-out runs can only remove an effect here, never add or change one. An effect that they do not excite is

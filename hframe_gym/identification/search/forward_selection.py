@@ -15,6 +15,7 @@ import math
 from functools import partial
 from typing import NamedTuple
 
+from ...line_log import LineLog
 from ...machine import AppliedEffect, Machine
 from ...preparation.dataset import Dataset
 from ..budget import expect_tests, may_begin_again, note_error, seconds_spent, spend
@@ -28,7 +29,7 @@ from ..evidence.rivals import (
     simplest_first,
 )
 from ..evidence.significance import TestedFit, doubt_about_candidate, doubt_beside_others
-from ..evidence.tried_effects import ConsideredEffect, Log, SelectedEffect, Selection, Step
+from ..evidence.tried_effects import ConsideredEffect, SelectedEffect, Selection, Step
 from ..fit.estimation import Fit, describe_gain
 from ..fit.long_run_variance import long_run_variance
 from ..fit.model_error import (
@@ -78,7 +79,7 @@ class EffectSearch:
 
     Args:
         data: Prepared recordings to fit.
-        plain: Machine before effects are added.
+        refitted: Machine before effects are added.
         criteria: Decision thresholds.
         log: Called with a line of text for each candidate.
 
@@ -88,8 +89,8 @@ class EffectSearch:
         data: The recordings; `run` may replace the initial states of their runs by more probable ones.
     """
 
-    def __init__(self, data: Dataset, plain: Machine, criteria: SelectionCriteria, log: Log) -> None:
-        self.data, self._plain, self._criteria, self._log = data, plain, criteria, log
+    def __init__(self, data: Dataset, refitted: Machine, criteria: SelectionCriteria, log: LineLog) -> None:
+        self.data, self._refitted, self._criteria, self._log = data, refitted, criteria, log
         self.considered: dict[str, ConsideredEffect] = {}
         # Observer bandwidth and excess of chi-squared at which structural effects were tried and no effect passed.
         self._structures_failed = (math.nan, math.inf)
@@ -113,7 +114,7 @@ class EffectSearch:
         Returns:
             Search with a copy of `considered`; structural effects are tried again once the error is clearly smaller.
         """
-        search = EffectSearch(data, self._plain, self._criteria, self._log)
+        search = EffectSearch(data, self._refitted, self._criteria, self._log)
         search.considered, search._structures_failed = dict(self.considered), self._structures_failed
         search._screened = dict(self._screened)
         return search
@@ -186,7 +187,7 @@ class EffectSearch:
                 label = s.effect.label
                 reduced: Fit | None = current
                 if len(known) > 1:
-                    reduced = without_effect(complete, label, data, self._plain, thorough=False)
+                    reduced = without_effect(complete, label, data, self._refitted, thorough=False)
                 if reduced is None:  # another effect requires it
                     continue
                 if not self._passes_again(label, reduced, complete):
@@ -257,7 +258,7 @@ class EffectSearch:
         if found is None:
             return None
         best, extended = self._extended(extended, *found)
-        reduced = without_effect(best, label, data, self._plain)
+        reduced = without_effect(best, label, data, self._refitted)
         effect, tested = extended[-2].effect, TestedFit(best, data)
         doubt = doubt_beside_others(reduced, tested, effect, criteria) if reduced else ""
         if doubt:
@@ -300,7 +301,7 @@ class EffectSearch:
         if known is not None and known.screening.fit is current and known.screening.data is self.data:
             return known
         machines = {
-            s.effect.label: machine_without(current.machine, s.effect.label, self._plain) for s in earlier
+            s.effect.label: machine_without(current.machine, s.effect.label, self._refitted) for s in earlier
         }
         without = {label: machine for label, machine in machines.items() if machine is not None}
         screened = screened_fit(current, self.data, without)
@@ -351,7 +352,7 @@ class EffectSearch:
         # The next step begins with the same candidates if nothing is replaced.
         screened = self._with_candidates(current, earlier)
         for old in earlier:
-            replaced = replacement_fit(current, old.effect.label, screened, self._plain, criteria)
+            replaced = replacement_fit(current, old.effect.label, screened, self._refitted, criteria)
             if replaced is None:
                 continue
             reduced, better = replaced
@@ -501,7 +502,7 @@ class EffectSearch:
         without: dict[str, Machine] = {}
         tested = TestedFit(current, self.data)
         for candidate in sorted(selected, key=lambda s: s.gain):
-            reduced = without_effect(current, candidate.effect.label, self.data, self._plain)
+            reduced = without_effect(current, candidate.effect.label, self.data, self._refitted)
             if reduced is None:
                 continue
             without[candidate.effect.label] = reduced.machine

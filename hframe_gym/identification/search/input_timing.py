@@ -13,12 +13,13 @@ import math
 from collections.abc import Iterator
 from functools import partial
 
+from ...line_log import LineLog
 from ...machine import Effect, argument_names
 from ...preparation.dataset import Dataset
 from ..evidence.held_out import error_reduction
 from ..evidence.plausibility import plausibility_fault
 from ..evidence.rivals import close_rivals, simplest_first
-from ..evidence.tried_effects import ConsideredEffect, Log, SelectedEffect
+from ..evidence.tried_effects import ConsideredEffect, SelectedEffect
 from ..fit.estimation import Fit
 from ..fit.long_run_variance import long_run_variance
 from ..fit.model_error import (
@@ -42,7 +43,7 @@ _RATE = SEARCH_BANDWIDTH * LONGEST_OBSERVER_PERIOD
 
 
 def with_input_timing(
-    outcome: SearchOutcome, held_out: Dataset, criteria: SelectionCriteria, log: Log
+    outcome: SearchOutcome, held_out: Dataset, criteria: SelectionCriteria, log: LineLog
 ) -> SearchOutcome:
     """Add a delay or lag of the drives to the effects that a search found, if the fitted runs confirm it.
 

@@ -8,12 +8,13 @@ from functools import cache, cached_property
 from typing import NamedTuple
 
 from ...effects.smooth_table import TABLE_FAMILY
+from ...line_log import LineLog
 from ...machine import HOOKS, Effect, Machine, argument_names
 from ...preparation.dataset import Dataset
 from ..budget import Budget, BudgetEndedError, spend, stage_ends
 from ..evidence.effect_parameters import parameter_values
 from ..evidence.effect_variables import curves_of_one_variable
-from ..evidence.tried_effects import ConsideredEffect, Log, SelectedEffect, Selection
+from ..evidence.tried_effects import ConsideredEffect, SelectedEffect, Selection
 from ..fit.estimation import Fit, fit, prediction_cost
 from ..fit.lost_voltages import estimate_lost_voltages
 from ..fit.model_error import (
@@ -89,7 +90,7 @@ class ModelSearch:
         machine: Machine,
         data: Dataset,
         criteria: SelectionCriteria,
-        log: Log,
+        log: LineLog,
         refitted: Fit | None = None,
         before: Fit | None = None,
         known: tuple[SelectedEffect, ...] = (),
@@ -571,7 +572,7 @@ def fitted_to_all_rows(
     machine: Machine,
     data: Dataset,
     criteria: SelectionCriteria,
-    log: Log,
+    log: LineLog,
     budget: Budget,
 ) -> SearchOutcome:
     """Fit the machines that a search in a part of the rows found to all of them, and reach the verdict again.

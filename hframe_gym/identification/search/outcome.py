@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from ...line_log import LineLog
 from ...machine import Machine
 from ...preparation.dataset import Dataset
-from ..evidence.tried_effects import ConsideredEffect, Log, SelectedEffect
+from ..evidence.tried_effects import ConsideredEffect, SelectedEffect
 from ..fit.estimation import Fit
 from ..fit.voltage_updates import VoltageUpdates
 from ..judge.verdict import Verdict, verdict_after_removal
@@ -62,7 +63,7 @@ class SearchOutcome(NamedTuple):
 
 
 def with_removed(
-    outcome: SearchOutcome, removed: SelectedEffect, reduced: Fit, reason: str, log: Log
+    outcome: SearchOutcome, removed: SelectedEffect, reduced: Fit, reason: str, log: LineLog
 ) -> SearchOutcome:
     """Return an outcome without one of its effects, which is listed as considered.
 

@@ -6,10 +6,11 @@ import dataclasses
 from collections.abc import Callable
 from functools import cache
 
+from ...line_log import LineLog
 from ...machine import Machine
 from ...preparation.dataset import Dataset
 from ..budget import Budget, BudgetEndedError, StageEnds, note_error, spend, stage_ends
-from ..evidence.tried_effects import Log, SelectedEffect, Selection
+from ..evidence.tried_effects import SelectedEffect, Selection
 from ..fit.estimation import Fit, prediction_cost
 from ..fit.model_error import (
     continue_fit,
@@ -34,7 +35,7 @@ def search_effects(
     machine: Machine,
     data: Dataset,
     criteria: SelectionCriteria,
-    log: Log,
+    log: LineLog,
     *,
     confirmed: Confirmed | None = None,
     budget: Budget | None = None,
@@ -95,7 +96,7 @@ def _search_with_suspect(
     machine: Machine,
     data: Dataset,
     criteria: SelectionCriteria,
-    log: Log,
+    log: LineLog,
     confirmed: Confirmed | None,
     known: tuple[SelectedEffect, ...],
 ) -> SearchOutcome:

@@ -17,10 +17,11 @@ import numpy as np
 
 from ...arrays import Array
 from ...effects.smooth_table import KNOTS, TABLE_FAMILY, definition
+from ...line_log import LineLog
 from ...machine import AppliedEffect, Machine
 from ...preparation.dataset import Dataset, PreparedRecording
 from ..budget import spend
-from ..evidence.tried_effects import Log, SelectedEffect, Selection
+from ..evidence.tried_effects import SelectedEffect, Selection
 from ..fit.estimation import Fit, describe_gain
 from ..fit.missing_force import HIGHEST_FREQUENCY, missing_force
 from ..fit.model_error import continue_fit, left_out_costs
@@ -205,7 +206,7 @@ def add_tables(
     *,
     criteria: SelectionCriteria,
     max_tables: int,
-    log: Log,
+    log: LineLog,
 ) -> Selection:
     """Add tables (forces or Coulomb friction forces over one variable) that reduce the residual of a fitted machine.
 

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ...line_log import LineLog
 from ...machine import Machine
 from ...preparation.dataset import Dataset, PreparedRecording
 from ...preparation.excerpt import representative_part
@@ -19,7 +20,7 @@ from ...preparation.saturation import Range, range_effects
 from ...preparation.session import Session, with_all_measurements
 from ...preparation.session_zeros import may_correct_zeros
 from ..evidence.effect_parameters import sizes
-from ..evidence.tried_effects import Log, SelectedEffect
+from ..evidence.tried_effects import SelectedEffect
 from ..fit.channel_errors import errors_by_channel
 from ..fit.covariance import with_uncertainty
 from ..fit.estimation import prediction_cost
@@ -54,7 +55,7 @@ _UNSTABLE = (
 )
 
 
-def with_certain_effects(outcome: SearchOutcome, criteria: SelectionCriteria, log: Log) -> SearchOutcome:
+def with_certain_effects(outcome: SearchOutcome, criteria: SelectionCriteria, log: LineLog) -> SearchOutcome:
     """Remove the effects that may as well be absent, given the covariance of the fitted parameters.
 
     The least certain effect is removed first; the others may be certain without it. That inputs may act later than
@@ -269,7 +270,7 @@ class Judged(NamedTuple):
     withdrawn: Evaluated | None = None
 
 
-def judged(evaluated: Evaluated, differing: Sequence[str], log: Log) -> Judged:
+def judged(evaluated: Evaluated, differing: Sequence[str], log: LineLog) -> Judged:
     """Let the held-out runs judge the names of effects and the verdict.
 
     Where they permit no names, they judge the refitted machine, which may need no effect.

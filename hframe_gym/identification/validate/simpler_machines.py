@@ -14,10 +14,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ...line_log import LineLog
 from ...preparation.dataset import Dataset
 from ...preparation.excerpt import is_long, representative_part
 from ..budget import LAST_STAGE_END, Budget, BudgetEndedError
-from ..evidence.tried_effects import Log, SelectedEffect
+from ..evidence.tried_effects import SelectedEffect
 from ..fit.estimation import Fit, prediction_cost
 from ..fit.plain_fit import PlainFit, equally_weighted, refined_equally
 from ..judge.criteria import SelectionCriteria
@@ -127,7 +128,7 @@ def _runs_to_report(test: HeldOutTest, fitted: Dataset) -> float:
     return len(fitted.runs) / len(test.held_out.runs)
 
 
-def no_worse(judgment: Judged, plain: PlainFit | None, log: Log, budget: Budget) -> Delivered:
+def no_worse(judgment: Judged, plain: PlainFit | None, log: LineLog, budget: Budget) -> Delivered:
     """Compare the outcome with the plain fit and the declared machine, and deliver none that predicts worse.
 
     If one of them takes the place of a machine with effects, that is the reason why none is named. Where no cause is
@@ -158,7 +159,7 @@ def no_worse(judgment: Judged, plain: PlainFit | None, log: Log, budget: Budget)
 
 
 def _compared(
-    judgment: Judged, plain: PlainFit, log: Log, budget: Budget
+    judgment: Judged, plain: PlainFit, log: LineLog, budget: Budget
 ) -> tuple[PlainResult, Evaluated, str]:
     """Return the plain fit with its errors, the outcome that is delivered, and what replaced the search's machine."""
     evaluated = judgment.evaluated
@@ -284,7 +285,7 @@ class _Description(NamedTuple):
 
 
 def _described(
-    judgment: Judged, base: ModelEvaluation, plain: Fit | None, log: Log, budget: Budget
+    judgment: Judged, base: ModelEvaluation, plain: Fit | None, log: LineLog, budget: Budget
 ) -> _Description | None:
     """Return the description of what is left that predicts the held-out runs best.
 
@@ -323,7 +324,7 @@ def _better_description(
     labels: Sequence[str],
     evaluated: Evaluated,
     base: ModelEvaluation,
-    log: Log,
+    log: LineLog,
 ) -> _Description | None:
     """Return a machine with effects as a description if it is clearly better than the best one, or else that one."""
     again = evaluated.test.evaluate(evaluated.outcome._replace(after=fitted))
@@ -380,7 +381,7 @@ def description_sentence(
 
 
 def descriptions(
-    start: Fit, data: Dataset, criteria: SelectionCriteria, log: Log, budget: Budget
+    start: Fit, data: Dataset, criteria: SelectionCriteria, log: LineLog, budget: Budget
 ) -> Iterator[tuple[Fit, tuple[str, ...]]]:
     """Add the effects that reduce the error of a simulation over complete runs most, one after the other.
 

@@ -17,6 +17,7 @@ import numpy as np
 from ...arrays import Array
 from ...errors import InputError, name_runs
 from ...files import output_batch, output_folder, read_document, read_json
+from ...line_log import LineLog
 from ...machine import Machine
 from ..cleaning import missing_rows, usual_step
 from ..recording import Recording, run_name, write_recording
@@ -95,7 +96,7 @@ def import_logs(
     out: str | Path,
     machine: Machine,
     settings: ImportSettings = ImportSettings(),
-    log: Callable[[str], None] = print,
+    log: LineLog = print,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Path]:
     """Convert the logs of a controller or data logger to recordings of a machine.
@@ -220,7 +221,7 @@ class _Importer:
         self,
         machine: Machine,
         settings: ImportSettings,
-        log: Callable[[str], None],
+        log: LineLog,
         progress: Progress,
         several: bool,
         one_of_many: bool,

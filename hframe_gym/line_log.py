@@ -1,0 +1,9 @@
+"""The type of functions that take lines about the work in progress."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeAlias
+
+LineLog: TypeAlias = Callable[[str], object]
+"""Function that is called with a line of text about the work in progress, without its end, such as `print`."""
