@@ -147,21 +147,22 @@ def _trial_fits_from(
     """Return fits with the most promising candidates, ranked at the parameters of a fit and fitted from there."""
     trials: list[Fit] = []
     start, ranked = screened.screening.fit, screened.screening.ranked()
-    # Largest linearized gain of a candidate that explains the data, and its effect.
-    best_promise, explaining = 0.0, ""
+    # Largest linearized gain of a candidate that explains the data, and the effects that do.
+    best_promise, explaining = 0.0, set[str]()
     promising = _promising(start, ranked, data, enough, criteria)
     goal = judge.largest_useful_cost(current.error, enough, criteria)
     for i, scored in enumerate(promising):
         # Where a candidate explains the data, only its possible rivals are fitted as well: those with a similar gain,
         # and the same effect at other sites (a common limit explains nearly as much as that of one drive).
         fitted = [t.machine.effects[-1].label for t in trials]
-        elsewhere = scored.candidate.effect.name == explaining and scored.candidate.label not in fitted
+        elsewhere = scored.candidate.effect.name in explaining and scored.candidate.label not in fitted
         if elsewhere or judge.may_be_rival(scored.gain, best_promise, criteria):
             spend(f"trial fit {i + 1} of {len(promising)}: {scored.candidate.label}")
             trial = fit_with_candidate(start, scored, screened.scales, data, goal=goal)
             trials = _with_better_shape(trials, trial)
-            if not explaining and judge.explains_alone(current.error, best_error(trials), criteria):
-                best_promise, explaining = scored.gain, scored.candidate.effect.name
+            if judge.explains_alone(current.error, trial.error, criteria):
+                best_promise = max(best_promise, scored.gain)
+                explaining.add(scored.candidate.effect.name)
     return trials
 
 

@@ -16,7 +16,7 @@ from hframe_gym.identification.judge.criteria import SelectionCriteria
 from hframe_gym.identification.predict.free_parameters import values_at
 from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH
 from hframe_gym.identification.propose import trial_fits
-from hframe_gym.machine import Machine
+from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import Recording
 
 
@@ -24,7 +24,7 @@ def recordings(machine: Machine, count: int) -> list[Recording]:
     """Return noisy runs of 1.5 s under random steps of up to 6 V."""
     rng, time_s, runs = np.random.default_rng(0), np.arange(1500) * 1e-3, []
     for i in range(count):
-        inputs = np.repeat(rng.uniform(-6.0, 6.0, (15, 1)), 100, axis=0)
+        inputs = np.repeat(rng.uniform(-6.0, 6.0, (15, len(machine.drives))), 100, axis=0)
         inputs[:100] = 0.0
         outputs = simulate(machine, time_s, inputs).outputs
         runs.append(Recording(f"run_{i}", time_s, inputs, outputs + rng.normal(0.0, 2e-5, outputs.shape)))
@@ -132,3 +132,19 @@ def test_a_belt_that_a_known_effect_divides_has_its_declared_length(
             found.parameters["left.rest_length"]
             == start.with_effects(*effects).parameters["left.rest_length"]
         )
+
+
+def test_each_effect_that_explains_the_runs_is_fitted_at_its_other_sites() -> None:
+    """A delay of drive 2 stands for its lag, too; a delay of drive 1 explains most of the rest, lags of both all of it.
+
+    The lags promise half of what the delay does, because the delay of drive 2 has its optimum without them.
+    """
+    delay, lag = EFFECTS["input_delay"], EFFECTS["electrical_lag"]
+    hframe = BUILTIN_MACHINES["hframe"]()
+    rig = hframe.with_effects(delay.at("motor2", d=1.46e-3), lag.at("drives", tau=1.1e-3))
+    data = prepare(recordings(rig, 2), hframe)
+    found = hframe.with_effects(delay.at("motor2", d=2.3e-3))
+    current = fit(found, default_free_parameters(found), data, SEARCH_BANDWIDTH)
+    trials = trial_fits.trial_fits(current, data, 0.1 * current.chi2, SelectionCriteria())
+    best = min(trials, key=lambda trial: trial.cost)
+    assert best.machine.effects[-1].label == "electrical_lag@drives"
