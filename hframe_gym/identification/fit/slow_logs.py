@@ -495,17 +495,19 @@ def _smoothed(run: PreparedRecording) -> PreparedRecording:
     """Return a run with smoothed voltages, measurements and times; missing measurements are interpolated.
 
     A controller differentiates the jitter of its clock, so that its voltages err with the time of each row.
-    Measurements that were smooth at unsmoothed times would contain that time, and be no instrument.
+    Measurements that were smooth at unsmoothed times would contain that time, and be no instrument. A sensor that
+    measures nothing in the run, such as a laser beyond its range, has no smoothed measurements either.
     """
-    outputs = run.outputs.copy()
-    for values in outputs.T:
-        measured = np.isfinite(values)
-        if measured.any():
-            values[:] = np.interp(run.time_s, run.time_s[measured], values[measured])
+    outputs = run.known_outputs.copy()
+    measured = np.isfinite(run.outputs)
+    for j in np.flatnonzero(measured.any(axis=0)):
+        rows = measured[:, j]
+        outputs[:, j] = np.interp(run.time_s, run.time_s[rows], outputs[rows, j])
     time_s, inputs, outputs = (
         savgol_filter(values, _SMOOTHED_ROWS, 3, axis=0)
         for values in (run.time_s, run.without_clock_answers(), outputs)
     )
+    outputs[:, ~measured.any(axis=0)] = np.nan
     clock = run.clock_voltages
     clock = None if clock is None else clock._replace(answers=np.zeros_like(inputs))  # they are removed
     return dataclasses.replace(run, time_s=time_s, inputs=inputs, outputs=outputs, clock_voltages=clock)

@@ -13,7 +13,7 @@ from hframe_gym.data_validation.sampling import check_voltages_between_rows
 from hframe_gym.identification import Dataset, Fit, SelectionCriteria, default_free_parameters, fit, prepare
 from hframe_gym.identification.budget import Budget
 from hframe_gym.identification.fit import voltage_updates as voltage_updates_module
-from hframe_gym.identification.fit.slow_logs import ExcessDelay
+from hframe_gym.identification.fit.slow_logs import ExcessDelay, excess_delay
 from hframe_gym.identification.fit.voltage_updates import (
     VoltageUpdates,
     can_show_updates,
@@ -376,3 +376,19 @@ def test_voltages_that_act_as_late_as_held_ones_are_held(
     monkeypatch.setattr(voltage_updates_module, "most_updates", lambda data: 2)
     updates = other_updates(fitted, with_voltage_errors(fitted.machine, data), SelectionCriteria())
     assert (updates and updates.per_row) == expected
+
+
+def test_a_sensor_that_measures_nothing_in_a_run_leaves_the_delay_to_other_runs() -> None:
+    """A laser that is beyond its range for a whole run has no measurements to smooth."""
+    data = slow_log(4).with_updates(2)
+    fitted, (first, *others) = refitted(data), data.runs
+    silent = dataclasses.replace(
+        first, outputs=np.full_like(first.outputs, np.nan), weights=np.zeros_like(first.weights)
+    )
+    with_silent, without = (
+        excess_delay(fitted, dataclasses.replace(data, runs=tuple(runs)))
+        for runs in ((silent, *others), others)
+    )
+    assert with_silent is not None
+    assert without is not None
+    assert with_silent.periods == pytest.approx(without.periods, abs=0.2 * without.deviation)
