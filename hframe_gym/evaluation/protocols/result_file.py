@@ -1,11 +1,14 @@
 """Result files of protocols: write, read and validate them.
 
-A protocol is a fixed benchmark; its parts are tasks that are scored separately; its draws are the episodes (start, goal
+A protocol is a fixed benchmark. Its parts are tasks that are scored separately; its draws are the episodes (start, goal
 and machine parameters) that all entries, that is, controllers or agents, face. A result file names the protocol and its
 digest, the entry with its hash, and the versions of the packages. It holds the values of every draw, and the scores
-that follow from them. Reading it checks the schema, the digest, a checksum and the number of draws, that no draw is
-faster than its stored bound or contradicts itself, and computes the scores again, so that a file that was edited or
-belongs to another machine or other draws is refused. Only running it again (`compare_draws`) shows that it is true.
+that follow from them.
+
+Reading a file checks the schema, the digest, the checksum and the number of draws. No draw may be faster than its
+stored time-optimal bound, or have values that no motion has. The scores are computed again. A file that was edited, or
+that belongs to another machine or other draws, is refused. Only running the entry again (`compare_draws`) shows that
+the values are true.
 """
 
 from __future__ import annotations
@@ -30,8 +33,8 @@ from .protocol import Draws, Protocol, get_protocol
 from .scores import DIGITS, part_scores, protocol_bounds
 
 SCHEMA = 2
-ROUNDING = 1e-6  # s and mm, of the values of draws, which have 6 decimals
-GRID_TOLERANCE = 1e-2  # of a sample
+ROUNDING = 1e-6  # s or mm; the values of draws are rounded to 6 decimals
+GRID_TOLERANCE = 1e-2  # of the time between two samples; settling times are multiples of it
 TOLERANCE = 1e-6  # relative, of scores that are computed again when a file is read
 
 
@@ -41,9 +44,9 @@ class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 
+# Without characters that would end a cell of the leaderboard's table.
 _Text = Annotated[str, Field(max_length=120, pattern=r"^[^|<>`\n]*$")]
-
-
+# Processor time in the unit that the key names; null where it is not known.
 _Cost = Annotated[float, Field(ge=0.0)] | None
 
 
@@ -91,7 +94,7 @@ def result_content(protocol: Protocol, entry: Entry, draws: Mapping[str, Draws])
     """Build the content of a result file, a `ResultFile` without `about`: the scores of an entry in a protocol.
 
     Args:
-        entry: Name, kind and hash of the controller or agent.
+        entry: The controller or agent that was scored.
         draws: Values of all episodes of the protocol ("draws"): by part (task) and by metric, such as `final_error_mm`,
             a list with one value per episode, mm or s.
     """
@@ -111,8 +114,8 @@ def result_content(protocol: Protocol, entry: Entry, draws: Mapping[str, Draws])
 def checksum(content: Mapping[str, Any]) -> str:
     """Compute the SHA-256 by which a result file shows that it was not edited after the run.
 
-    It covers the protocol with its digest, the entry, the versions and the draws. It protects against mistakes; whoever
-    computes it anew is found by running the entry again.
+    It covers the protocol with its digest, the entry, the versions and the draws. It protects against mistakes. Someone
+    who edits the draws can compute it again as well; running the entry again shows that.
     """
     covered = {key: content[key] for key in ("protocol", "digest", "entry", "versions", "draws")}
     return hashlib.sha256(json.dumps(covered, sort_keys=True).encode()).hexdigest()
@@ -198,7 +201,8 @@ def _check_draws(path: Path, result: ResultFile, protocol: Protocol) -> None:
         if list(values) != expected:
             raise InputError(f"{path}: draws.{part} has {', '.join(values)}, not {', '.join(expected)}")
         for metric, column in values.items():
-            valid = all(metric in settling if v is None else v >= 0.0 for v in column)
+            may_be_null = metric in settling  # a draw need not settle
+            valid = all(may_be_null if value is None else value >= 0.0 for value in column)
             if len(column) != protocol.draws or not valid:
                 raise InputError(
                     f"{path}: draws.{part}.{metric}: must hold {protocol.draws} values that are not negative (null "
@@ -225,7 +229,7 @@ def _check_possible(path: Path, part: str, values: Draws, protocol: Protocol) ->
             )
         return
     error = np.array(values["final_error_mm"], np.float64)
-    before = np.zeros(len(error))
+    wider_band = np.zeros(len(error))  # settling times, s
     for band, radius in BANDS.items():
         column = values[f"settling_s.{band}"]
         times = np.array([np.nan if time is None else time for time in column], np.float64)
@@ -238,14 +242,14 @@ def _check_possible(path: Path, part: str, values: Draws, protocol: Protocol) ->
                 int(draw),
                 f"settling_s.{band} is {column[draw]} and the error at the end is {error[draw]:g} mm",
             )
-        for draw in np.flatnonzero(times < before)[:1]:
+        for draw in np.flatnonzero(times < wider_band)[:1]:
             refuse(int(draw), f"it settles within {band} before it settles within the wider band")
-        before = np.fmax(before, times)
+        wider_band = np.fmax(wider_band, times)
         if radius <= BANDS[BOUND_BAND]:
-            for times_s in protocol_bounds(protocol.name).values():
-                for draw in np.flatnonzero(times < times_s - sample_s)[:1]:
+            for shortest_s in protocol_bounds(protocol.name).values():
+                for draw in np.flatnonzero(times < shortest_s - sample_s)[:1]:
                     reason = (
-                        f"{times[draw]:g} s is less than the shortest possible time, {times_s[draw]:.4f} s"
+                        f"{times[draw]:g} s is less than the shortest possible time, {shortest_s[draw]:.4f} s"
                     )
                     refuse(int(draw), f"settling_s.{band} = {reason}")
 
