@@ -27,10 +27,10 @@ from hframe_gym.identification.fit.covariance import with_uncertainty
 from hframe_gym.identification.fit.estimation import Fit
 from hframe_gym.identification.fit.model_error import fit_with_model_error, polish
 from hframe_gym.identification.fit.start_estimation import refine_dataset
-from hframe_gym.identification.fit.typical_scales import typical_scales
 from hframe_gym.identification.predict.free_parameters import default_free_parameters
 from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH
 from hframe_gym.identification.propose.candidates import effect_parameters
+from hframe_gym.identification.propose.typical_scales import typical_scales
 from hframe_gym.machine import BUILTIN_MACHINES, AppliedEffect, Machine
 from hframe_gym.preparation.dataset import Dataset
 from hframe_gym.recordings import without_outliers

@@ -21,8 +21,8 @@ from benchmarks.real_machines.study import (
 from benchmarks.results_file import write_results
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import identify
-from hframe_gym.identification.fit.inverse_dynamics import force_error
-from hframe_gym.identification.fit.missing_force import smooth_force_residual
+from hframe_gym.identification.forces.inverse_dynamics import force_error
+from hframe_gym.identification.forces.missing_force import smooth_force_residual
 from hframe_gym.machine import Machine
 from hframe_gym.recordings import load_machine, load_recordings
 

@@ -13,9 +13,9 @@ from hframe_gym.controllers.models.motion_model import MotionModel
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS, effect_sites
 from hframe_gym.identification import fit, identify, prepare, write_result
-from hframe_gym.identification.fit.typical_scales import scales_of_motion
 from hframe_gym.identification.predict.prediction import POLISH_STEP, SIMULATION
 from hframe_gym.identification.propose.candidates import effect_parameters
+from hframe_gym.identification.propose.typical_scales import scales_of_motion
 from hframe_gym.identification.report.instructions import next_steps
 from hframe_gym.identification.report.rows import effect_rows
 from hframe_gym.identification.report.saved_result import load_result

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from hframe_gym.identification import fit, prepare
-from hframe_gym.identification.fit.typical_scales import scales_of_motion
 from hframe_gym.identification.predict.prediction import POLISH_STEP, SIMULATION
 from hframe_gym.identification.propose.candidates import effect_parameters
+from hframe_gym.identification.propose.typical_scales import scales_of_motion
 from hframe_gym.machine import Machine
 from hframe_gym.recordings import Recording
 from tests.effects.one_of_each import CASES, Case, history

@@ -8,9 +8,9 @@ import pytest
 from hframe_gym import load_machine, simulate
 from hframe_gym.effects import EFFECTS, effect_sites
 from hframe_gym.identification import fit, prepare
-from hframe_gym.identification.fit.typical_scales import scales_of_motion
 from hframe_gym.identification.predict.prediction import POLISH_STEP, SIMULATION
 from hframe_gym.identification.propose.candidates import effect_parameters
+from hframe_gym.identification.propose.typical_scales import scales_of_motion
 from hframe_gym.machine import Machine
 from hframe_gym.recordings import Recording
 from tests.drives.test_set_point import PERIOD, ROWS, servo_machine

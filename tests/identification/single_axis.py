@@ -11,7 +11,7 @@ from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset, IdentificationResult, SelectedEffect, prepare
 from hframe_gym.identification.fit.channel_errors import channel_errors
-from hframe_gym.identification.fit.inverse_dynamics import force_error
+from hframe_gym.identification.forces.inverse_dynamics import force_error
 from hframe_gym.identification.validate.machine_errors import ModelEvaluation, PredictionErrors
 from hframe_gym.machine import BUILTIN_MACHINES, AppliedEffect, Machine
 from hframe_gym.recordings import Recording

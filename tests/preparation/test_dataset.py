@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hframe_gym.identification import prepare
-from hframe_gym.identification.fit.typical_scales import scales_of_motion
+from hframe_gym.identification.propose.typical_scales import scales_of_motion
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.preparation.session import with_all_measurements
 from hframe_gym.preparation.usable import usable_run

@@ -10,8 +10,8 @@ import numpy as np
 from ...machine import Machine
 from ...preparation.dataset import Dataset, PreparedRecording
 from ..fit.estimation import Fit, prediction_cost
-from ..fit.inverse_dynamics import force_error
 from ..fit.model_error import bandwidths_for
+from ..forces.inverse_dynamics import force_error
 from ..judge import held_out as judge
 from ..judge.error import FitError
 from ..judge.run import HeldOutRun, contradicts

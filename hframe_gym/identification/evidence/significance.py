@@ -16,9 +16,7 @@ from ...machine import AppliedEffect, Machine
 from ...preparation.dataset import Dataset
 from ..fit.covariance import with_uncertainty
 from ..fit.estimation import Fit
-from ..fit.force_sizes import drive_force, effect_force, force_difference, residue_force
 from ..fit.long_run_variance import long_run_variance
-from ..fit.missing_force import follow_runs, sensor_combinations
 from ..fit.model_error import (
     continue_fit,
     fit_with_model_error,
@@ -28,6 +26,8 @@ from ..fit.model_error import (
     refitted_leave_one_out_gain,
 )
 from ..fit.slow_logs import fit_by_instruments
+from ..forces.force_sizes import drive_force, effect_force, force_difference, residue_force
+from ..forces.missing_force import follow_runs, sensor_combinations
 from ..judge import effect as judge
 from ..judge.criteria import SelectionCriteria
 from ..judge.effect import (

@@ -1,1 +1,1 @@
-"""Fit a machine's parameters to recordings: starts of the runs, covariances, error and missing force of the model."""
+"""Fit a machine to recordings: its parameters, the starts of the runs, covariances, and the error that is left."""

@@ -20,11 +20,11 @@ from ...machine import AppliedEffect, Effect, EffectParameter, Machine
 from ...preparation.dataset import Dataset
 from ...registry import Registry
 from ..fit.estimation import Fit
-from ..fit.missing_force import follow_runs, missing_force, sensor_errors
-from ..fit.typical_scales import SESSION, TypicalScales, typical_scales
+from ..forces.missing_force import follow_runs, missing_force, sensor_errors
 from ..predict.free_parameters import FreeParameter
 from ..predict.prediction import SEARCH_BANDWIDTH
 from .periodogram import MIN_FORCE_PERIODS, MIN_FRICTION_PERIODS
+from .typical_scales import SESSION, TypicalScales, typical_scales
 
 _LEAST_PERIOD_PRIOR = 0.1  # relative
 _ROUNDING = 0.01  # relative; predictions with different observers have slightly different travels

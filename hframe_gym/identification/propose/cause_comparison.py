@@ -19,8 +19,8 @@ from scipy import signal
 from ...arrays import Array
 from ...machine import Machine
 from ...preparation.dataset import Dataset
-from ..fit.missing_force import MissingMotion, low_pass, motion_directions
-from ..fit.motion_variables import variables_of_motion
+from ..forces.missing_force import MissingMotion, low_pass, motion_directions
+from ..forces.motion_variables import variables_of_motion
 from ..judge import cause as judge
 
 _MOST_ROWS = 10_000  # that are compared; of longer recordings fewer per second

@@ -19,7 +19,7 @@ from scipy import signal
 
 from ...arrays import Array
 from ...machine import Machine
-from ..fit.motion_variables import smooth_sign
+from ..forces.motion_variables import smooth_sign
 from .cause_comparison import Cause, CauseComparison, Columns, Signals
 
 _KNOTS, _KNOTS_OF_FRICTION = 13, 6  # of a curve; of one that is multiplied by the direction of motion

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,14 +13,13 @@ from ...machine import HOOKS, AppliedEffect, Machine, argument_names
 from ...machine.motion import rigid_motions
 from ...preparation.dataset import Dataset
 from ..fit.channel_errors import white_sensors
-from ..fit.missing_force import (
-    Dependence,
+from ..forces.missing_force import (
     correction_filters,
     missing_motions,
     motion_directions,
     sensor_combinations,
 )
-from ..fit.motion_variables import smooth_sign
+from ..forces.motion_variables import smooth_sign
 from ..judge import cause as judge
 from ..predict.free_parameters import typical_force
 from .cause_comparison import Cause, CauseComparison, Signals, Unexplained
@@ -30,6 +30,23 @@ _ROUNDING_FORCE = 1e-9
 _FORCE_HZ = 150.0  # rate at which forces below 30 Hz are compared
 _DISAGREEMENT_HZ = 500.0  # rate at which the sensors are compared, whose noise needs no filter
 _PLAIN = ("position", "velocity", "current")  # variables that come before others which explain about as much
+
+
+class Dependence(NamedTuple):
+    """Dependence of the force residual on a variable.
+
+    Attributes:
+        variable: Name of the variable, e.g. "velocity of x".
+        coordinate: Coordinate on which the force acts.
+        explained: Fraction of the variance beyond noise, of the residual force or of the disagreement of the sensors,
+            that the variable explains in runs to which the curve was not fitted, in [0, 1].
+        component: Where the cause lies: a coordinate, drive or output channel, "drives", "belts" or "clock".
+    """
+
+    variable: str
+    coordinate: str
+    explained: float
+    component: str = ""
 
 
 def rank_dependences(machine: Machine, data: Dataset) -> list[Dependence]:

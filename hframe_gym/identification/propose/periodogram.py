@@ -1,6 +1,6 @@
 """Find the spatial periods of the missing force, the force that a model lacks.
 
-The periodogram is that of least squares, because positions are unequally spaced. `residual.missing_force` estimates the
+The periodogram is that of least squares, because positions are unequally spaced. `missing_force` estimates the
 force up to a cut-off frequency, which a short period exceeds at high speed. Each period is therefore fitted only to
 rows in which the motion is slow enough.
 """
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.fft import next_fast_len, rfft
 
 from ...arrays import Array
-from ..fit.missing_force import HIGHEST_FREQUENCY
+from ..forces.missing_force import HIGHEST_FREQUENCY
 
 # Numbers of periods over the range of the positions. Less than one period of a force cannot be distinguished from a
 # spring.

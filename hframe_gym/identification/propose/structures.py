@@ -19,10 +19,10 @@ from ...machine import UNITS, Effect, Machine
 from ...preparation.dataset import Dataset, PreparedRecording
 from ..budget import spender
 from ..fit.estimation import Fit
-from ..fit.typical_scales import TypicalScales
 from ..predict.free_parameters import prior_precision
 from ..predict.prediction import predict
 from .screening import screening_model
+from .typical_scales import TypicalScales
 
 _FITTED_STRUCTURES = 3  # effects that replace a part of the model and are fitted
 

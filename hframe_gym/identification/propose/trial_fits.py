@@ -20,9 +20,8 @@ from ...machine import AppliedEffect, Machine
 from ...preparation.dataset import Dataset, PreparedRecording
 from ..budget import spend
 from ..fit.estimation import Fit, fit, prediction_cost
-from ..fit.force_sizes import effect_force, residue_force
 from ..fit.model_error import continue_fit, polish, search_step
-from ..fit.typical_scales import TypicalScales, typical_scales
+from ..forces.force_sizes import effect_force, residue_force
 from ..judge import trial as judge
 from ..judge.criteria import SelectionCriteria
 from ..judge.error import FitError
@@ -37,6 +36,7 @@ from ..predict.prediction import POLISH_STEP, SEARCH_BANDWIDTH, SIMULATION, pred
 from .candidates import Candidate, SearchState, candidates, effect_parameters, is_required
 from .screening import Resemblance, ScoredCandidate, Screening
 from .structures import screen_structures
+from .typical_scales import TypicalScales, typical_scales
 
 # Effects that are fitted in place of a selected one because these runs may not distinguish them.
 _RESEMBLING = 3

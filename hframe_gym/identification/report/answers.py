@@ -9,10 +9,10 @@ import numpy as np
 
 from ...machine import Machine
 from ...web_page import number
-from ..fit.parameter_diagnostics import parameter_doubts
 from ..judge.criteria import SelectionCriteria
 from .curves import run_ratio
 from .document import Report
+from .parameter_diagnostics import parameter_doubts
 from .remainder import NOTICEABLE_ERROR, cause_of_remainder, parts_of_remainder
 from .result_curves import RunCurves
 from .rows import EffectRow

@@ -14,14 +14,13 @@ from ..evidence.tried_effects import ConsideredEffect, SelectedEffect
 from ..fit.channel_errors import white_sensors
 from ..fit.covariance import with_uncertainty
 from ..fit.estimation import Fit
-from ..fit.force_sizes import drive_force, effect_force
-from ..fit.missing_force import Dependence
 from ..fit.run_differences import RunDifferencesInWords
 from ..fit.slow_logs import deviations_of_fits
 from ..fit.start_estimation import refine_dataset
+from ..forces.force_sizes import drive_force, effect_force
 from ..judge.verdict import final_verdict
 from ..predict.voltage_errors import simulation_error
-from ..propose.dependences import rank_dependences
+from ..propose.dependences import Dependence, rank_dependences
 from ..search.checked_search import CheckedOutcome
 from ..validate.simpler_machines import Delivered
 from .document import Hint, UnknownVoltages

@@ -30,11 +30,11 @@ from ...machine import AppliedEffect, Machine
 from ..fit.channel_errors import channel_errors
 from ..fit.estimation import Fit, fit, prediction_cost
 from ..fit.start_estimation import refine_dataset
-from ..fit.typical_scales import typical_scales
 from ..judge.table import recommended_formula
 from ..predict.free_parameters import FreeParameter, default_free_parameters
 from ..predict.prediction import POLISH_STEP, SEARCH_BANDWIDTH, SEARCH_STEP, SIMULATION
 from ..propose.candidates import effect_parameters
+from ..propose.typical_scales import typical_scales
 from . import document
 from .result import IdentificationResult
 

@@ -11,9 +11,9 @@ from ...errors import InputError
 from ...machine import BUILTIN_MACHINES, Machine
 from ...operating_system import quoted
 from ...web_page import NextStep, number
-from ..fit.inseparable_parameters import sum_text
 from ..judge.criteria import SelectionCriteria
 from .document import Report
+from .inseparable_parameters import sum_text
 from .rows import EffectRow
 from .saved_result import SavedResult, next_command
 

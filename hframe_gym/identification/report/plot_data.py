@@ -6,8 +6,8 @@ import numpy as np
 
 from ...arrays import Array
 from ..fit.channel_errors import simulation_error
-from ..fit.missing_force import smooth_force_residual
-from ..fit.motion_variables import dependence_variables
+from ..forces.missing_force import smooth_force_residual
+from ..forces.motion_variables import dependence_variables
 from .result import IdentificationResult
 from .result_curves import MissingForce, ResultCurves, RunCurves
 

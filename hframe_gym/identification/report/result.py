@@ -11,17 +11,17 @@ from ...machine import METERS, AppliedEffect
 from ...preparation.dataset import Dataset
 from ..evidence.tried_effects import SelectedEffect
 from ..fit.channel_errors import errors_by_channel
-from ..fit.force_sizes import drive_force
-from ..fit.inseparable_parameters import inseparable_parameters
-from ..fit.missing_force import Dependence
-from ..fit.parameter_diagnostics import parameters_at_limit, undeclared_friction
+from ..forces.force_sizes import drive_force
 from ..judge.criteria import SelectionCriteria
 from ..judge.verdict import Verdict
 from ..predict.prediction import observer_gains
+from ..propose.dependences import Dependence
 from ..validate.machine_errors import ModelEvaluation, PredictionErrors
 from ..validate.simpler_machines import PlainResult
 from . import document
 from .experiment_design import FILE, ExperimentDesign
+from .inseparable_parameters import inseparable_parameters
+from .parameter_diagnostics import parameters_at_limit, undeclared_friction
 
 
 @dataclass(frozen=True)

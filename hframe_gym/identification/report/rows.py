@@ -10,9 +10,9 @@ import numpy as np
 from ...effects.smooth_table import TABLE_FAMILY
 from ...machine import Machine, written_unit
 from ...web_page import number
-from ..fit.inseparable_parameters import sum_text
-from ..fit.parameter_diagnostics import parameter_doubts
 from .document import Report
+from .inseparable_parameters import sum_text
+from .parameter_diagnostics import parameter_doubts
 from .units import percent
 
 

@@ -23,9 +23,8 @@ from ...preparation.dataset import Dataset, PreparedRecording
 from ..budget import spend
 from ..evidence.tried_effects import SelectedEffect, Selection
 from ..fit.estimation import Fit, describe_gain
-from ..fit.missing_force import HIGHEST_FREQUENCY, missing_force
 from ..fit.model_error import continue_fit, left_out_costs
-from ..fit.typical_scales import TypicalScales, typical_scales
+from ..forces.missing_force import HIGHEST_FREQUENCY, missing_force
 from ..judge import table as judge
 from ..judge.criteria import SelectionCriteria
 from ..judge.error import is_enough, required_gain
@@ -34,6 +33,7 @@ from ..predict.prediction import SEARCH_BANDWIDTH, map_runs, predict
 from ..propose.candidates import Candidate
 from ..propose.screening import screen
 from ..propose.trial_fits import fit_with_candidate
+from ..propose.typical_scales import TypicalScales, typical_scales
 
 # Bins of the variable over which a force is averaged; finer than the knots, to find the bends.
 _BINS = 4 * KNOTS

@@ -16,9 +16,9 @@ from ...preparation.dataset import Dataset, PreparedRecording
 from ...preparation.session_zeros import refine_encoder_zeros
 from ...recordings import Recording
 from ..fit.channel_errors import ChannelError, errors_by_channel
-from ..fit.force_sizes import lacking_force
-from ..fit.inverse_dynamics import force_error
 from ..fit.start_estimation import refine_dataset
+from ..forces.force_sizes import lacking_force
+from ..forces.inverse_dynamics import force_error
 from ..judge.criteria import SelectionCriteria
 from ..judge.sensor import SensorEvidence, deviates_alone
 from ..predict.prediction import map_runs

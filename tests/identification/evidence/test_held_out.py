@@ -14,7 +14,7 @@ from hframe_gym.errors import InputError
 from hframe_gym.identification import hold_out
 from hframe_gym.identification.evidence import held_out
 from hframe_gym.identification.fit.estimation import prediction_cost
-from hframe_gym.identification.fit.inverse_dynamics import force_error
+from hframe_gym.identification.forces.inverse_dynamics import force_error
 from hframe_gym.identification.predict.prediction import POLISH_STEP
 from hframe_gym.preparation.division import copied_runs, spectral_differences
 from hframe_gym.recordings import Recording

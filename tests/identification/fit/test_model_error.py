@@ -19,7 +19,6 @@ from hframe_gym.identification.fit.estimation import (
     costs_of_some_left_out,
     prediction_cost,
 )
-from hframe_gym.identification.fit.force_sizes import residue_force
 from hframe_gym.identification.fit.long_run_variance import long_run_variance
 from hframe_gym.identification.fit.model_error import (
     BANDWIDTHS,
@@ -32,6 +31,7 @@ from hframe_gym.identification.fit.model_error import (
     ratios_to_others,
     refitted_leave_one_out_gain,
 )
+from hframe_gym.identification.forces.force_sizes import residue_force
 from hframe_gym.identification.predict.free_parameters import FreeParameter
 from hframe_gym.identification.predict.normal_equations import NormalEquations
 from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH

@@ -18,7 +18,6 @@ from hframe_gym.errors import InputError
 from hframe_gym.identification import SelectionCriteria, identify, prepare
 from hframe_gym.identification.budget import Budget
 from hframe_gym.identification.fit.estimation import prediction_cost
-from hframe_gym.identification.fit.force_sizes import lacking_force
 from hframe_gym.identification.fit.plain_fit import (
     PlainFit,
     better_start,
@@ -27,6 +26,7 @@ from hframe_gym.identification.fit.plain_fit import (
     plain_fit,
     starting_values,
 )
+from hframe_gym.identification.forces.force_sizes import lacking_force
 from hframe_gym.identification.predict.prediction import SIMULATION
 from hframe_gym.identification.validate.simpler_machines import (
     confirmed,

@@ -10,7 +10,7 @@ import pytest
 
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset, prepare
-from hframe_gym.identification.fit.missing_force import smooth_force_residual
+from hframe_gym.identification.forces.missing_force import smooth_force_residual
 from hframe_gym.identification.predict.error_loops import mean_errors, scaled_errors
 from hframe_gym.identification.predict.prediction import (
     SEARCH_BANDWIDTH,

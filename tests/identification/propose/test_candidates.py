@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from hframe_gym.effects import EFFECTS, register_effect, unregister_effect
-from hframe_gym.identification.fit.typical_scales import TypicalScales
 from hframe_gym.identification.judge.criteria import SelectionCriteria
 from hframe_gym.identification.propose.candidates import Candidate, SearchState, candidates, effect_parameters
 from hframe_gym.identification.propose.periodogram import periodogram_peaks, slow_rates
+from hframe_gym.identification.propose.typical_scales import TypicalScales
 from hframe_gym.identification.search.tables import table_candidates
 from hframe_gym.machine import Machine
 from tests.identification.single_axis import AXIS, axis_runs

@@ -9,7 +9,6 @@ from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset, SelectionCriteria, fit, prepare
 from hframe_gym.identification.evidence.effect_parameters import parameter_values
-from hframe_gym.identification.fit.typical_scales import typical_scales
 from hframe_gym.identification.judge.chance import LongRunVariance
 from hframe_gym.identification.judge.effect import parameter_at_limit
 from hframe_gym.identification.judge.rival import largest_resembling_loss
@@ -23,6 +22,7 @@ from hframe_gym.identification.propose.candidates import (
 )
 from hframe_gym.identification.propose.screening import Screening
 from hframe_gym.identification.propose.trial_fits import indistinguishable, screened_fit
+from hframe_gym.identification.propose.typical_scales import typical_scales
 from hframe_gym.machine import Machine
 from hframe_gym.recordings import Recording
 from tests.identification.single_axis import AXIS

@@ -12,12 +12,12 @@ from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset, Fit, default_free_parameters, fit, prepare
 from hframe_gym.identification.fit.covariance import with_uncertainty
 from hframe_gym.identification.fit.estimation import prediction_cost
-from hframe_gym.identification.fit.typical_scales import typical_scales
 from hframe_gym.identification.judge.criteria import SelectionCriteria
 from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH
 from hframe_gym.identification.propose.candidates import Candidate, effect_parameters
 from hframe_gym.identification.propose.structures import screen_structures
 from hframe_gym.identification.propose.trial_fits import _other_threshold, trial_fits
+from hframe_gym.identification.propose.typical_scales import typical_scales
 from hframe_gym.machine import BUILTIN_MACHINES, AppliedEffect, Belt, Coordinate, Machine
 from hframe_gym.recordings import Recording
 

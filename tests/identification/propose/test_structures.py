@@ -6,9 +6,9 @@ import dataclasses
 
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import default_free_parameters, fit, prepare
-from hframe_gym.identification.fit.typical_scales import typical_scales
 from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH
 from hframe_gym.identification.propose.structures import screen_structures
+from hframe_gym.identification.propose.typical_scales import typical_scales
 from hframe_gym.machine import Machine
 from tests.identification.propose.recorded_axis import recorded
 

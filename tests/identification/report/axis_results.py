@@ -10,7 +10,7 @@ import numpy as np
 from hframe_gym.effects import EFFECTS, get_effect
 from hframe_gym.effects.smooth_table import KNOTS
 from hframe_gym.identification import Dataset, IdentificationResult, write_result
-from hframe_gym.identification.fit.missing_force import Dependence
+from hframe_gym.identification.propose.dependences import Dependence
 from hframe_gym.identification.report.document import Report
 from hframe_gym.identification.report.experiment_design import ExperimentDesign
 from hframe_gym.identification.report.page import build_report

@@ -16,7 +16,7 @@ from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset, write_result
 from hframe_gym.identification.fit.channel_errors import ChannelError
-from hframe_gym.identification.fit.missing_force import Dependence
+from hframe_gym.identification.propose.dependences import Dependence
 from hframe_gym.identification.report.document import Hint
 from hframe_gym.identification.report.experiment_design import FILE
 from hframe_gym.identification.report.page import build_report

@@ -14,7 +14,6 @@ import pytest
 from hframe_gym.dynamics import simulate_batch
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import SelectionCriteria, identify, prepare
-from hframe_gym.identification.fit.missing_force import Dependence
 from hframe_gym.identification.judge.unstable_motion import UnstableMotion
 from hframe_gym.identification.judge.verdict import (
     VerdictEvidence,
@@ -22,7 +21,7 @@ from hframe_gym.identification.judge.verdict import (
     contradiction_of_no_effect,
     remaining,
 )
-from hframe_gym.identification.propose.dependences import agree_with_causes
+from hframe_gym.identification.propose.dependences import Dependence, agree_with_causes
 from hframe_gym.identification.search.outcome import SearchOutcome
 from hframe_gym.identification.validate import evaluation
 from hframe_gym.identification.validate.evaluation import Evaluated, _with_fast_error, judged

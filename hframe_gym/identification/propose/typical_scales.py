@@ -11,9 +11,9 @@ import numpy as np
 from ...arrays import Array
 from ...machine import Machine
 from ...preparation.dataset import Dataset
+from ..fit.estimation import Fit
 from ..predict.free_parameters import typical_force
 from ..predict.prediction import map_runs, predict
-from .estimation import Fit
 
 _NO_MOTION = 1e-9  # m or rad, m/s or rad/s, V, A; size where nothing moves or acts, which permits a division
 SESSION = "session"  # key of the duration of all runs together, s, in `TypicalScales.general`

@@ -10,8 +10,12 @@ import pytest
 from hframe_gym.dynamics.simulation import simulate_batch
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification.fit.channel_errors import white_sensors
-from hframe_gym.identification.fit.missing_force import missing_force, missing_motions, smooth_force_residual
-from hframe_gym.identification.fit.motion_variables import dependence_variables, smooth_sign
+from hframe_gym.identification.forces.missing_force import (
+    missing_force,
+    missing_motions,
+    smooth_force_residual,
+)
+from hframe_gym.identification.forces.motion_variables import dependence_variables, smooth_sign
 from hframe_gym.identification.propose.causes import _curve
 from hframe_gym.identification.propose.dependences import rank_dependences
 from hframe_gym.identification.propose.periodogram import periodogram_peaks

@@ -15,6 +15,8 @@ from ...arrays import Array
 from ...dynamics import net_forces
 from ...machine import AppliedEffect, Machine
 from ...preparation.dataset import Dataset, PreparedRecording
+from ..fit.estimation import Fit
+from ..fit.model_error import BANDWIDTHS, search_step
 from ..predict.prediction import (
     SEARCH_BANDWIDTH,
     map_runs,
@@ -30,8 +32,6 @@ from ..predict.start_uncertainty import (
     probable_amounts,
     uncertain_starts,
 )
-from .estimation import Fit
-from .model_error import BANDWIDTHS, search_step
 
 
 def effect_force(machine: Machine, effect: AppliedEffect, data: Dataset) -> float:

@@ -12,9 +12,9 @@ import pytest
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset, prepare
-from hframe_gym.identification.fit import force_sizes
-from hframe_gym.identification.fit.force_sizes import force_size
 from hframe_gym.identification.fit.model_error import search_step
+from hframe_gym.identification.forces import force_sizes
+from hframe_gym.identification.forces.force_sizes import force_size
 from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH, predict, prediction_error
 from hframe_gym.machine import AppliedEffect
 from hframe_gym.recordings import Recording

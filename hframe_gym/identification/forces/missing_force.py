@@ -19,6 +19,7 @@ from ...arrays import Array
 from ...machine import Machine
 from ...machine.motion import pulley_names, rigid_motions
 from ...preparation.dataset import Dataset, PreparedRecording
+from ..fit.start_estimation import start_for_observer
 from ..predict.prediction import (
     SEARCH_BANDWIDTH,
     map_runs,
@@ -26,28 +27,10 @@ from ..predict.prediction import (
     observer_gains,
     predict,
 )
-from .start_estimation import start_for_observer
 
 # Low-pass cut-off frequency, Hz. In the force residual, noise is fast and a missing effect slow.
 _RESIDUAL_CUTOFF = 30.0
 HIGHEST_FREQUENCY = 40.0  # Hz, up to which the missing force is estimated
-
-
-class Dependence(NamedTuple):
-    """Dependence of the force residual on a variable.
-
-    Attributes:
-        variable: Name of the variable, e.g. "velocity of x".
-        coordinate: Coordinate on which the force acts.
-        explained: Fraction of the variance beyond noise, of the residual force or of the disagreement of the sensors,
-            that the variable explains in runs to which the curve was not fitted, in [0, 1].
-        component: Where the cause lies: a coordinate, drive or output channel, "drives", "belts" or "clock".
-    """
-
-    variable: str
-    coordinate: str
-    explained: float
-    component: str = ""
 
 
 def _innovations(

@@ -7,7 +7,7 @@ import pytest
 
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset, prepare
-from hframe_gym.identification.fit.inverse_dynamics import force_error
+from hframe_gym.identification.forces.inverse_dynamics import force_error
 from hframe_gym.machine import AppliedEffect, Coordinate, Drive, Machine, Sensor
 from hframe_gym.recordings import Recording
 
