@@ -15,16 +15,10 @@ import numpy as np
 from ...machine import AppliedEffect, Machine
 from ...preparation.dataset import Dataset
 from ..fit.covariance import with_uncertainty
+from ..fit.cross_validation import leave_one_out_gain, refitted_leave_one_out_gain
 from ..fit.estimation import Fit
 from ..fit.long_run_variance import long_run_variance
-from ..fit.model_error import (
-    continue_fit,
-    fit_with_model_error,
-    has_narrowest_observer,
-    leave_one_out_gain,
-    narrower_observer,
-    refitted_leave_one_out_gain,
-)
+from ..fit.model_error import continue_fit, fit_with_model_error, has_narrowest_observer, narrower_observer
 from ..fit.slow_logs import fit_by_instruments
 from ..forces.force_sizes import drive_force, effect_force, force_difference, residue_force
 from ..forces.missing_force import follow_runs, sensor_combinations

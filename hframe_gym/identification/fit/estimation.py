@@ -16,7 +16,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...arrays import Array
 from ...machine import Machine
@@ -25,7 +24,6 @@ from ..budget import goes_on
 from ..judge.error import FitError
 from ..predict.free_parameters import FreeParameter, bounded_step, prior_precision, values_at
 from ..predict.linearization import DIFFERENCE_STEP, Linearization, ResidualModel, has_impacts
-from ..predict.normal_equations import NormalEquations
 from ..predict.prediction import SEARCH_BANDWIDTH, SEARCH_STEP, innovation_variance, map_runs
 from ..predict.start_uncertainty import prediction_residuals, uncertain_starts
 
@@ -43,6 +41,8 @@ UNREACHED_CHANGES = SWITCH_CHANGES[:5]  # 50 to 3 %
 # cost that the next step would add: (1 - found / predicted)^2 where the curvature is wrong, 9/4 of it where the cost
 # has a cubic term.
 _NEXT_STEP = 2.25
+# Decrease of cost / chi2 at which an accurate fit ends; it is 1 at one standard deviation.
+CONVERGED_COST = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -303,141 +303,3 @@ def prediction_costs(
             return float(np.sum(residual**2))
 
     return np.array(list(map_runs(of_run, data)))
-
-
-def cross_validation(fitted: Fit, data: Dataset, pieces: int) -> list[tuple[float, float]]:
-    """Compute the costs of pieces of the runs with parameters that are fitted to all other pieces.
-
-    The model is linearized around the fit, where each of these fits is one Newton step within the limits of the fit.
-
-    Args:
-        fitted: Fit of a machine.
-        data: Runs that were fitted.
-        pieces: Number of pieces into which each run is divided; 1 for complete runs.
-
-    Returns:
-        For each piece, its cost and that of all others, dimensionless; infinite if the machine diverges.
-    """
-    return costs_left_out(equations_of_pieces(fitted, data, pieces), fitted.free, fitted.theta)
-
-
-def equations_of_pieces(fitted: Fit, data: Dataset, pieces: int) -> list[NormalEquations]:
-    """Return the normal equations of each piece of the runs around a fit.
-
-    Args:
-        fitted: Fit of a machine.
-        data: Runs that were fitted.
-        pieces: Number of pieces into which each run is divided; 1 for complete runs.
-    """
-    model = ResidualModel(fitted.machine, fitted.free, data, fitted.bandwidth, fitted.longest_step)
-    point = model.at(fitted.theta)
-
-    def of_run(run: PreparedRecording) -> list[NormalEquations]:
-        rows = point.linearize_run(run)
-        return NormalEquations.of_pieces(rows.jacobian, rows.residual, run.count, pieces)
-
-    return [piece for of_pieces in map_runs(of_run, data) for piece in of_pieces]
-
-
-def costs_left_out(
-    equations: Sequence[NormalEquations], free: Sequence[FreeParameter], theta: Array
-) -> list[tuple[float, float]]:
-    """Compute the costs of pieces of a linear model with parameters that are fitted to all other pieces.
-
-    Args:
-        equations: Normal equations of each piece, of k parameters.
-        free: The parameters, with their limits and priors.
-        theta: Parameters at which the model is linearized, dimensionless, shape (k,).
-
-    Returns:
-        For each piece, its cost and that of all others, dimensionless; infinite if a piece is not finite.
-    """
-    total = NormalEquations.total(equations)
-    if not total.finite:  # the machine diverges
-        return [(math.inf, math.inf)] * len(equations)
-    costs = []
-    for left_out, fitted in zip(equations, thetas_left_out(equations, free, theta), strict=True):
-        information, gradient = total.information - left_out.information, total.gradient - left_out.gradient
-        step = fitted - theta
-        cost = left_out.cost + float(2.0 * left_out.gradient @ step + step @ left_out.information @ step)
-        costs.append(
-            (cost, total.cost - left_out.cost + float(2.0 * gradient @ step + step @ information @ step))
-        )
-    return costs
-
-
-def thetas_left_out(
-    equations: Sequence[NormalEquations], free: Sequence[FreeParameter], theta: Array
-) -> list[Array]:
-    """Return the parameters of a linear model that are fitted to all pieces but one, for each piece.
-
-    Args:
-        equations: Normal equations of each piece, of k parameters; they are finite.
-        free: The parameters, with their limits and priors.
-        theta: Parameters at which the model is linearized, dimensionless, shape (k,).
-
-    Returns:
-        Parameters theta, dimensionless, shape (k,) each.
-    """
-    total = NormalEquations.total(equations)
-    precision = prior_precision(free) * max(1.0, total.chi2)
-    thetas = []
-    for left_out in equations:
-        hessian = total.information - left_out.information + precision
-        slope = total.gradient - left_out.gradient + precision @ theta
-        thetas.append(theta + bounded_step(free, theta, hessian, slope))
-    return thetas
-
-
-def cross_validation_of_some(
-    fitted: Fit, tested: NDArray[np.bool_], data: Dataset, pieces: int
-) -> list[float]:
-    """Compute the costs of pieces of the runs with values of some parameters that are fitted to all other pieces.
-
-    Args:
-        fitted: Fit of a machine, of k parameters.
-        tested: True for these parameters, shape (k,).
-        data: Runs that were fitted.
-        pieces: Number of pieces into which each run is divided; 1 for complete runs.
-
-    Returns:
-        Cost of each piece, dimensionless, by `costs_of_some_left_out`.
-    """
-    equations = equations_of_pieces(fitted, data, pieces)
-    return costs_of_some_left_out(equations, tested, fitted.free, fitted.theta)
-
-
-def costs_of_some_left_out(
-    equations: Sequence[NormalEquations],
-    tested: NDArray[np.bool_],
-    free: Sequence[FreeParameter],
-    theta: Array,
-) -> list[float]:
-    """Compute the costs of pieces of a linear model with values of some parameters that are fitted to all other pieces.
-
-    The other parameters are fitted to all pieces beside these values. A piece may alone determine one of them, such as
-    a current that no other piece reaches: without it, this parameter would make any error.
-
-    Args:
-        equations: Normal equations of each piece, of k parameters.
-        tested: True for the parameters of which the other pieces determine the values, shape (k,).
-        free: The parameters, with their limits and priors.
-        theta: Fitted parameters, at which the model is linearized, dimensionless, shape (k,).
-
-    Returns:
-        Cost of each piece, dimensionless; infinite if a piece is not finite.
-    """
-    total = NormalEquations.total(equations)
-    if not total.finite:  # the machine diverges
-        return [math.inf] * len(equations)
-    others, others_free = ~tested, [f for f, is_tested in zip(free, tested, strict=True) if not is_tested]
-    hessian = total.information + prior_precision(free) * max(1.0, total.chi2)
-    costs = []
-    for left_out, fitted in zip(equations, thetas_left_out(equations, free, theta), strict=True):
-        step = np.where(tested, fitted - theta, 0.0)
-        slope = (hessian @ step)[others]  # theta is the best fit: only the tested parameters move the others
-        step[others] = bounded_step(others_free, theta[others], hessian[np.ix_(others, others)], slope)
-        costs.append(
-            left_out.cost + float(2.0 * left_out.gradient @ step + step @ left_out.information @ step)
-        )
-    return costs

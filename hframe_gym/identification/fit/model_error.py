@@ -1,16 +1,10 @@
-"""The error of a model beyond the sensors' noise: its size, and whether an effect is larger.
+"""Fits with the observer that the error of a model beyond the sensors' noise requires.
 
 No model of a real machine is exact. A small force that no effect of the library describes (a residue) accumulates in a
-simulation to many times the sensors' noise, and effects that do not exist can reproduce parts of this error. Three
-measures distinguish true effects from the residue:
-
-- An observer corrects the prediction by the measurements, as the steady-state Kalman filter for a random force would.
-  The bandwidth, rad/s, that maximizes the likelihood of the innovations (errors before each correction) corresponds to
-  the size of the residue; after every effect it is chosen anew. No residue: no observer (simulation, bandwidth 0).
-- An effect must be larger than the residue: its force is compared with the force by which the observer corrects the
-  prediction.
-- An effect must be confirmed by runs to which its parameters were not fitted (leave-one-run-out). One step of the
-  linear model leads to the parameters without a run; where that speaks against the effect, all are fitted again.
+simulation to many times the sensors' noise, and effects that do not exist can reproduce parts of this error. An
+observer corrects the prediction by the measurements, as the steady-state Kalman filter for a random force would. The
+bandwidth, rad/s, that maximizes the likelihood of the innovations (errors before each correction) corresponds to the
+size of the residue; after every effect it is chosen anew. No residue: no observer (simulation, bandwidth 0).
 
 The cost is the sum of squared residuals in units of the sensors' noise; chi-squared per sample is its mean.
 """
@@ -18,22 +12,12 @@ The cost is the sum of squared residuals in units of the sensors' noise; chi-squ
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
-import numpy as np
-from numpy.typing import NDArray
-
-from ...arrays import Array
-from ...effects.smooth_table import TABLE_FAMILY
 from ...machine import Machine
 from ...preparation.dataset import Dataset
 from ..budget import goes_on
-from ..judge import run as judge
 from ..judge.observer import best_in_simulation, likeliest
-from ..judge.run import MIN_RUNS_COMPARED
-from ..predict.free_parameters import FreeParameter
-from ..predict.linearization import ResidualModel
-from ..predict.normal_equations import NormalEquations
 from ..predict.prediction import (
     NARROWEST_WITH_VOLTAGE_ERRORS,
     POLISH_STEP,
@@ -42,23 +26,11 @@ from ..predict.prediction import (
     SIMULATION,
     innovation_variance,
 )
-from .estimation import (
-    Fit,
-    costs_of_some_left_out,
-    cross_validation,
-    cross_validation_of_some,
-    equations_of_pieces,
-    fit,
-    prediction_cost,
-    thetas_left_out,
-)
+from .cross_validation import cross_validated_cost
+from .estimation import CONVERGED_COST, Fit, fit, prediction_cost
 
-# Decrease of cost / chi2 at which a polished fit ends; it is 1 at one standard deviation.
-_CONVERGED_COST = 0.02
 # Bandwidths that are compared, rad/s. The likelihood changes little between neighbors.
 BANDWIDTHS = (SEARCH_BANDWIDTH, 30.0, 15.0, 7.0, 3.0, SIMULATION)
-_FOLDS = 3  # parts of the runs that are left out in turn where the error of a simulation is cross-validated
-_MIN_RUNS, _PIECES = 4, 8  # fewer runs are divided into that many pieces for cross-validation
 _SEARCH_STEP_NARROW = 0.25e-3  # s; with a narrow observer, the errors of longer integration steps accumulate
 
 
@@ -214,7 +186,7 @@ def polish(fitted: Fit, data: Dataset, *, goal: float = math.inf) -> Fit:
         data: Runs that were fitted.
         goal: Cost, dimensionless, above which the fit is of no use (`fit`).
     """
-    model, accurate = (fitted.machine, fitted.free, data, fitted.bandwidth), _CONVERGED_COST / data.count
+    model, accurate = (fitted.machine, fitted.free, data, fitted.bandwidth), CONVERGED_COST / data.count
     return fit(*model, theta=fitted.theta, tolerance=accurate, longest_step=POLISH_STEP, goal=goal)
 
 
@@ -251,182 +223,12 @@ def refined_in_simulation(fitted: Fit, data: Dataset) -> Fit:
         again = continue_fit(best, data, SIMULATION, goal=goal)
         if not again.cost < goal:
             return again, math.inf
-        return again, _cross_validated_cost(again, data) * cost(again.machine, fitted.bandwidth)
+        return again, cross_validated_cost(again, data) * cost(again.machine, fitted.bandwidth)
 
     best = best_in_simulation(
         ((narrower, product(narrower)) for narrower in _narrowing(fitted, data)), simulated
     )
     return best if best is fitted else polish(best, data)
-
-
-def _cross_validated_cost(fitted: Fit, data: Dataset) -> float:
-    """Return the cost of all runs, each third with parameters that one step fits to the other two thirds."""
-    model = ResidualModel(fitted.machine, fitted.free, data, fitted.bandwidth, fitted.longest_step)
-    by_run = model.linearize(fitted.theta).by_run
-    names, folds = [run.name for run in data.runs], min(_FOLDS, len(data.runs))
-    parts = [NormalEquations.total(by_run[first::folds]) for first in range(folds)]
-    if not all(part.finite for part in parts):  # the machine diverges
-        return math.inf
-    thetas = thetas_left_out(parts, fitted.free, fitted.theta)
-    return sum(
-        prediction_cost(
-            model.machine_at(theta),
-            data.with_runs(names[first::folds]),
-            fitted.bandwidth,
-            longest_step=POLISH_STEP,
-        )
-        for first, theta in enumerate(thetas)
-    )
-
-
-def leave_one_out_gain(without: Fit, with_effect: Fit, data: Dataset) -> float:
-    """Return by how much an effect with values from other runs reduces the error of each run (leave one run out).
-
-    All other parameters are fitted to all runs, without the effect and beside these values of it
-    (`cross_validation_of_some`). The runs are divided as in `pieces_left_out`.
-
-    Args:
-        without: Fit without the effect.
-        with_effect: Fit with the effect, at the same observer bandwidth (of the feedback of measurements).
-        data: Runs that were fitted.
-
-    Returns:
-        Reduction of the cost, dimensionless, summed over all runs. It is usually smaller than the reduction on the
-        fitted runs, and negative if the effect describes single runs rather than the machine.
-    """
-    tested, pieces = _of_effect(without, with_effect), _pieces_to_confirm(with_effect, data)
-    return without.cost - sum(cross_validation_of_some(with_effect, tested, data, pieces))
-
-
-def refitted_leave_one_out_gain(
-    without: Fit, with_effect: Fit, data: Dataset, least: float = -math.inf
-) -> float:
-    """Return what `leave_one_out_gain` does, with parameters that are fitted again for each piece.
-
-    The step of the linear model is too long where a single run determines a combination of parameters: without this
-    run, they leave the range in which the model is linear. All pieces are left out once more, because a choice of those
-    that speak against the effect would confirm what chance explains.
-
-    A piece that is left out costs no less than one that is fitted, because the fit to all pieces would otherwise have
-    its parameters. The pieces that speak most against the effect by the linear model are therefore left out first, and
-    the others not at all once they could not confirm it even at the cost that they have in the fit.
-
-    Args:
-        without: Fit without the effect.
-        with_effect: Fit with the effect, at the same observer bandwidth (of the feedback of measurements).
-        data: Runs that were fitted.
-        least: Reduction, dimensionless, that confirms the effect. Default: the reduction is asked for, whatever it is.
-
-    Returns:
-        Reduction of the cost, dimensionless, summed over all runs, or an upper limit of it that is less than `least`.
-    """
-    tested, pieces = _of_effect(without, with_effect), _pieces_to_confirm(with_effect, data)
-    equations = equations_of_pieces(with_effect, data, pieces)
-    linear = costs_of_some_left_out(equations, tested, with_effect.free, with_effect.theta)
-    against = [left_out - piece.cost for left_out, piece in zip(linear, equations, strict=True)]
-    parts = [data.leaving_out(piece, pieces) for piece in range(len(equations))]
-    fitted = [
-        prediction_cost(
-            with_effect.machine, alone, with_effect.bandwidth, longest_step=with_effect.longest_step
-        )
-        for _, alone in parts
-    ]
-    gain = without.cost - sum(fitted)
-    for piece in np.argsort(against)[::-1].tolist():
-        if gain < least:
-            break
-        gain += fitted[piece] - _refitted_cost(with_effect, tested, data, *parts[piece])
-    return gain
-
-
-def _of_effect(without: Fit, with_effect: Fit) -> NDArray[np.bool_]:
-    """Return which free parameters belong to an effect, or to the coordinates that it adds."""
-    known = {free.name for free in without.free}
-    return np.array([free.name not in known for free in with_effect.free])
-
-
-def _refitted_cost(
-    fitted: Fit, tested: NDArray[np.bool_], data: Dataset, others: Dataset, left_out: Dataset
-) -> float:
-    """Return the cost of a piece with values of the tested parameters that are fitted to all others."""
-    step = fitted.longest_step
-
-    def again(free: Sequence[FreeParameter], theta: Array, machine: Machine, runs: Dataset) -> Fit:
-        accurate = _CONVERGED_COST / runs.count
-        return fit(machine, free, runs, fitted.bandwidth, theta=theta, tolerance=accurate, longest_step=step)
-
-    elsewhere = again(fitted.free, fitted.theta, fitted.machine, others)
-    values = {f.name: elsewhere.values[f.name] for f, t in zip(fitted.free, tested, strict=True) if t}
-    adapting = tuple(f for f, t in zip(fitted.free, tested, strict=True) if not t)
-    beside = again(adapting, fitted.theta[~tested], fitted.machine.replace(values), data)
-    return prediction_cost(beside.machine, left_out, fitted.bandwidth, longest_step=step)
-
-
-def _pieces_to_confirm(with_effect: Fit, data: Dataset) -> int:
-    """Return into how many pieces each run is divided to confirm an effect."""
-    table = any(e.definition.family == TABLE_FAMILY for e in with_effect.machine.effects)
-    return pieces_left_out(len(data.runs), table=table)
-
-
-def pieces_left_out(runs: int, *, table: bool) -> int:
-    """Return into how many pieces each run is divided, of which one is left out in turn to confirm an effect.
-
-    Runs are left out whole. Of fewer than four runs, pieces (at least eight in all) are left out instead: too few other
-    runs might not determine the parameters. Of a machine with a table, halves of runs are: some of its values may
-    depend on a single run.
-
-    Args:
-        runs: Number of runs.
-        table: Whether the machine has a table.
-    """
-    enough = 2 if table else 1
-    return enough if runs >= _MIN_RUNS else -(-_PIECES // runs)
-
-
-def left_out_costs(fitted: Fit, data: Dataset, pieces: int) -> list[float]:
-    """Return the cost of each piece of the runs with parameters that are fitted to all others (cross-validation).
-
-    Args:
-        fitted: Fit of a machine.
-        data: Runs that were fitted.
-        pieces: Number of pieces into which each run is divided; 1 for complete runs.
-
-    Returns:
-        Costs, dimensionless: sums of squared residuals in units of the noise; infinite if the machine diverges.
-    """
-    return [cost for cost, _ in cross_validation(fitted, data, pieces)]
-
-
-def contradicting_run(fitted: Fit, data: Dataset) -> str | None:
-    """Find the run that contradicts the other runs: the machine that is fitted to them does not explain this run.
-
-    The cause may be a mistake (a slipped belt, another amplifier setting) or an effect that only this run excites.
-
-    Args:
-        fitted: Fitted machine with its observer bandwidth.
-        data: Runs that were fitted.
-
-    Returns:
-        Name of the run; None if there is none (`judge.run.contradicting_run`).
-    """
-    if len(data.runs) < MIN_RUNS_COMPARED:
-        return None
-    ratios = ratios_to_others(cross_validation(fitted, data, 1), [run.count for run in data.runs])
-    return judge.contradicting_run(dict(zip((run.name for run in data.runs), ratios, strict=True)))
-
-
-def ratios_to_others(costs: Sequence[tuple[float, float]], counts: Sequence[float]) -> list[float]:
-    """Return the cost per value of each run over that of all others, so that runs may have different lengths.
-
-    Args:
-        costs: Cost of each run and of all others, dimensionless, with parameters that are fitted to the others.
-        counts: Effective number of measured values of each run.
-    """
-    total = sum(counts)
-    return [
-        (cost / count) / (others / (total - count))
-        for (cost, others), count in zip(costs, counts, strict=True)
-    ]
 
 
 def continue_fit(fitted: Fit, data: Dataset, bandwidth: float, *, goal: float = math.inf) -> Fit:

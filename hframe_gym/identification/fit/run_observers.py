@@ -162,7 +162,7 @@ class _LinearizedFits:
         variances = self._variances[list(choice), runs]
         step = np.zeros(len(fitted.theta))
         for _ in range(_WEIGHTINGS):
-            costs = [e.cost + 2.0 * e.gradient @ step + step @ e.information @ step for e in equations]
+            costs = [e.cost_after(step) for e in equations]
             losses, inflation = _losses(np.maximum(costs, 0.0), self._counts, variances)
             weights = 1.0 / (variances[:, 0] * inflation)
             information = sum(w * e.information for w, e in zip(weights, equations, strict=True))

@@ -142,14 +142,22 @@ class NormalEquations:
             response_gradient=self.response_gradient[responses],
         )
 
+    def cost_after(self, step: Array) -> float:
+        """Return the cost of the linear model after a change of theta, dimensionless.
+
+        Args:
+            step: Change of theta, dimensionless, shape (k,).
+        """
+        return self.cost + float(2.0 * step @ self.gradient + step @ self.information @ step)
+
     def least_cost(self, precision: Array) -> float:
         """Return the cost with the best parameters theta, without their prior, of the linear model.
 
         Args:
             precision: Inverse covariance of the parameters' prior, dimensionless, shape (k, k).
         """
-        step = -np.linalg.solve(self.information + precision, self.gradient)
-        return self.cost + float(2.0 * step @ self.gradient + step @ self.information @ step)
+        step = np.linalg.solve(self.information + precision, self.gradient)
+        return self.cost_after(np.negative(step, dtype=float))
 
     def eliminate_parameters(self, precision: Array) -> NormalEquations:
         """Eliminate the k parameters theta (Schur complement), so that only the amounts a remain unknown.

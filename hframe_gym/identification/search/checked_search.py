@@ -19,9 +19,9 @@ from ..budget import LAST_STAGE_END, SECOND_SEARCH_PART, Budget, BudgetEndedErro
 from ..evidence.effect_variables import describes_one_run
 from ..evidence.held_out import contradicting_held_out_runs, shown_effects, worsens_simulation
 from ..evidence.tried_effects import SelectedEffect
+from ..fit.cross_validation import contradicting_run
 from ..fit.estimation import Fit, fit
 from ..fit.lost_voltages import held_over_gaps, with_lost_voltages
-from ..fit.model_error import contradicting_run
 from ..fit.plain_fit import PlainFit, better_start, plain_fit
 from ..fit.run_differences import find_run_differences
 from ..fit.start_estimation import refine_dataset

@@ -20,15 +20,10 @@ from ..evidence.held_out import error_reduction
 from ..evidence.plausibility import plausibility_fault
 from ..evidence.rivals import close_rivals, simplest_first
 from ..evidence.tried_effects import ConsideredEffect, SelectedEffect
+from ..fit.cross_validation import leave_one_out_gain, refitted_leave_one_out_gain
 from ..fit.estimation import Fit
 from ..fit.long_run_variance import long_run_variance
-from ..fit.model_error import (
-    continue_fit,
-    leave_one_out_gain,
-    likelihood_loss,
-    polish,
-    refitted_leave_one_out_gain,
-)
+from ..fit.model_error import continue_fit, likelihood_loss, polish
 from ..fit.start_estimation import refine_dataset
 from ..judge.criteria import SelectionCriteria
 from ..judge.effect import TimingEvidence, doubt_about_timing, removed_fraction

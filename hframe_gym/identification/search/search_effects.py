@@ -11,13 +11,9 @@ from ...machine import Machine
 from ...preparation.dataset import Dataset
 from ..budget import Budget, BudgetEndedError, StageEnds, note_error, spend, stage_ends
 from ..evidence.tried_effects import SelectedEffect, Selection
+from ..fit.cross_validation import contradicting_run
 from ..fit.estimation import Fit, prediction_cost
-from ..fit.model_error import (
-    continue_fit,
-    contradicting_run,
-    fit_with_model_error,
-    polish,
-)
+from ..fit.model_error import continue_fit, fit_with_model_error, polish
 from ..fit.run_differences import find_run_differences
 from ..judge.criteria import SelectionCriteria
 from ..judge.error import nearly_explains

@@ -22,8 +22,9 @@ from ...machine import AppliedEffect, Machine
 from ...preparation.dataset import Dataset, PreparedRecording
 from ..budget import spend
 from ..evidence.tried_effects import SelectedEffect, Selection
+from ..fit.cross_validation import costs_left_out, equations_of_pieces
 from ..fit.estimation import Fit, describe_gain
-from ..fit.model_error import continue_fit, left_out_costs
+from ..fit.model_error import continue_fit
 from ..forces.missing_force import HIGHEST_FREQUENCY, missing_force
 from ..judge import table as judge
 from ..judge.criteria import SelectionCriteria
@@ -337,7 +338,10 @@ def _left_out_ratio(fitted: Fit, reference: Fit, data: Dataset, criteria: Select
     ratio is infinite if a machine diverges.
     """
     pieces = max(2, -(-criteria.cross_validation_blocks // len(data.runs)))  # of each run; more of few runs
-    return cost_ratio(*(np.array(left_out_costs(f, data, pieces)) for f in (fitted, reference)))
+    costs, before = (
+        costs_left_out(equations_of_pieces(f, data, pieces), f.free, f.theta) for f in (fitted, reference)
+    )
+    return cost_ratio(*(np.array(each)[:, 0] for each in (costs, before)))
 
 
 def cost_ratio(costs: Array, before: Array) -> float:
