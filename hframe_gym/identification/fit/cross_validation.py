@@ -74,6 +74,11 @@ def costs_left_out(
 ) -> list[tuple[float, float]]:
     """Compute the costs of pieces of a linear model with parameters that are fitted to all other pieces.
 
+    Args:
+        equations: Normal equations of each piece, of k parameters.
+        free: The parameters, with their limits and priors.
+        theta: Parameters at which the model is linearized, dimensionless, shape (k,).
+
     Returns:
         For each piece, its cost and that of all others, dimensionless; infinite if a piece is not finite.
     """
@@ -122,7 +127,7 @@ def costs_of_some_left_out(
 
 
 def cross_validated_cost(fitted: Fit, data: Dataset) -> float:
-    """Return the cost of all runs, each third with parameters that one step fits to the other two thirds."""
+    """Return the cost, dimensionless, of all runs, each third with parameters that one step fits to the others."""
     model = ResidualModel(fitted.machine, fitted.free, data, fitted.bandwidth, fitted.longest_step)
     by_run = model.linearize(fitted.theta).by_run
     names, folds = [run.name for run in data.runs], min(_FOLDS, len(data.runs))

@@ -137,12 +137,13 @@ def find_effects(
         budget: Processor time after which the search ends.
         before_search: Called before each search with the plain fit, the fitted and the held-out runs.
     """
-    found = _search_and_check(machine, all_runs, held_names, criteria, log, budget, before_search)
+    search = _RunSearch(machine, all_runs, criteria, log, budget, before_search)
+    found = search.without(held_names)
     may_repeat = budget.has_time(SECOND_SEARCH_PART)
     complete = not found.outcome.unfinished and may_repeat
     others = _runs_to_exchange(found, log) if complete and may_exchange else []
     if others:
-        exchanged = _search_and_check(machine, all_runs, others, criteria, log, budget, before_search)
+        exchanged = search.without(others)
         if exchanged.outcome.contradiction in found.differing and not exchanged.differing:
             found = exchanged  # the run that had been held out is the only one that disagrees
         elif _explains_all_runs(exchanged) and _is_confirmed(exchanged.outcome, exchanged.held_out):
@@ -176,7 +177,7 @@ class _Runs(NamedTuple):
         refitted: Machine refitted to `fitted` at `SEARCH_BANDWIDTH`.
         voltages: Voltages as logged, of each run to fit by its name.
         left_out: Name of the run that alone differs from the others and is not fitted, if there is one.
-        messages: What the user should know about runs that are not used, one sentence each.
+        messages: What the user should know about the runs, one sentence each.
     """
 
     fitted: Dataset
@@ -186,6 +187,10 @@ class _Runs(NamedTuple):
     voltages: dict[str, Array]
     left_out: str | None
     messages: tuple[str, ...]
+
+    def with_message(self, message: str) -> _Runs:
+        """Return the same runs with one more sentence for the user."""
+        return self._replace(messages=(*self.messages, message))
 
 
 class _Voltages(NamedTuple):
@@ -212,135 +217,159 @@ class _Voltages(NamedTuple):
         return _Voltages(change.updates, change.machine, refuted > 1, change.selected, rejected)
 
 
-def _search_and_check(
-    machine: Machine,
-    all_runs: Dataset,
-    held_names: Sequence[str],
-    criteria: SelectionCriteria,
-    log: LineLog,
-    budget: Budget,
-    before_search: BeforeSearch,
-) -> CheckedOutcome:
-    """Search in the runs that are not held out, and find the held-out runs that contradict the result.
+class _RunSearch:
+    """Searches of an identification in those of its runs that are not held out.
 
-    A search that finds that the voltages change more or less often between the rows is repeated with this knowledge.
+    Args:
+        machine: Machine as declared.
+        all_runs: All runs, prepared for a fit.
+        criteria: Decision thresholds.
+        log: Called with a line of text.
+        budget: Processor time after which a search ends.
+        before_search: Called before each search with the plain fit, the fitted and the held-out runs.
     """
-    runs = _divided(machine, all_runs, held_names, criteria, log, budget)
-    of_agreeing, agreeing = _agreeing_runs(runs, machine, log)
-    updates = voltage_updates(of_agreeing, agreeing, criteria)
-    voltages = _Voltages(updates, machine, fitted_with_errors=False, selected=(), rejected={})
-    names = [run.name for run in agreeing.runs]
-    while True:
-        try:
-            return _search_with(voltages, runs, names, machine, criteria, log, budget, before_search)
-        except VoltagesChangeError as change:
-            voltages = voltages.after(change)
 
+    def __init__(
+        self,
+        machine: Machine,
+        all_runs: Dataset,
+        criteria: SelectionCriteria,
+        log: LineLog,
+        budget: Budget,
+        before_search: BeforeSearch,
+    ) -> None:
+        self._machine, self._all_runs, self._criteria = machine, all_runs, criteria
+        self._log, self._budget, self._before_search = log, budget, before_search
 
-def _search_with(
-    voltages: _Voltages,
-    runs: _Runs,
-    agreeing: Sequence[str],
-    machine: Machine,
-    criteria: SelectionCriteria,
-    log: LineLog,
-    budget: Budget,
-    before_search: BeforeSearch,
-) -> CheckedOutcome:
-    """Interpolate the voltages as assumed, fit plainly, and search; `agreeing`: runs that contradict no others."""
-    fitted, held_out, messages = runs.fitted, runs.held_out, runs.messages
-    per_row = voltages.updates.per_row
-    if per_row > 1:
-        changes = voltages.updates.describe(machine.commands_in_words, fitted.period)
-        log(f"{changes}; they are interpolated")
-        fitted, held_out = interpolated(
-            voltages.responding,
-            per_row,
-            fitted,
+    def without(self, held_names: Sequence[str]) -> CheckedOutcome:
+        """Search in the runs that are not held out, and find the held-out runs that contradict the result.
+
+        A search that finds that the voltages change more or less often between the rows is repeated with this
+        knowledge.
+        """
+        runs = self._divided(held_names)
+        of_agreeing, agreeing = self._agreeing(runs)
+        updates = voltage_updates(of_agreeing, agreeing, self._criteria)
+        voltages = _Voltages(updates, self._machine, fitted_with_errors=False, selected=(), rejected={})
+        names = [run.name for run in agreeing.runs]
+        while True:
+            try:
+                return self._with_voltages(voltages, runs, names)
+            except VoltagesChangeError as change:
+                voltages = voltages.after(change)
+
+    def _with_voltages(self, voltages: _Voltages, runs: _Runs, agreeing: Sequence[str]) -> CheckedOutcome:
+        """Interpolate the voltages as assumed, fit plainly, and search; `agreeing`: runs that contradict no others."""
+        per_row, logged = voltages.updates.per_row, runs.voltages
+        if per_row > 1:
+            changes = voltages.updates.describe(self._machine.commands_in_words, runs.fitted.period)
+            self._log(f"{changes}; they are interpolated")
+            runs = _interpolated(voltages, runs, agreeing, self._log)
+            quality = describe_interpolation(runs.refitted.machine, runs.fitted)
+            runs = runs.with_message(_BETWEEN_ROWS.format(changes, quality, per_row))
+        runs = runs._replace(fitted=dataclasses.replace(runs.fitted, updates_rejected=voltages.rejected))
+        # Voltages that are estimated by a machine would make its parameters part of the plain fit.
+        to_fit = runs.fitted.with_inputs(logged) if runs.all_rows is None else runs.all_rows
+        plain = plain_fit(self._machine, to_fit, self._budget)
+        if plain is not None and plain.seconds is not None:
+            runs = runs.with_message(_PLAIN_ENDED.format(plain.seconds))
+            self._log(
+                f"  the plain fit ended after {plain.seconds:.0f} s of processor time, its part of the budget"
+            )
+        self._before_search(plain, runs.fitted, runs.held_out)
+        found = self._found(runs, plain, voltages.selected)
+        return found if runs.left_out is None else found.without_run(runs.left_out)
+
+    def _divided(self, held_names: Sequence[str]) -> _Runs:
+        """Return the runs to fit and those held out, without one that alone differs, and the refitted machine."""
+        machine, all_runs, log, budget = self._machine, self._all_runs, self._log, self._budget
+        fitted_names = [run.name for run in all_runs.runs if run.name not in held_names]
+        held_out, excluded = with_known_positions(all_runs.with_runs(held_names))
+        all_rows, unused = with_known_positions(all_runs.with_runs(fitted_names))
+        names = ", ".join(run.name for run in held_out.runs)
+        log(f"fitting {machine.name} to {len(all_rows.runs)} runs, {len(held_out.runs)} held out ({names})")
+        data = representative_part(all_rows, machine, size=budget.session_part * NORMAL_SESSION)
+        in_part = data is not all_rows
+        if in_part:
+            log(f"effects are searched for in {describe_part(data, all_rows)}")
+            all_rows = representative_part(all_rows, machine, size=budget.session_part * LARGEST_FIT)
+        logged = data
+        data, held_out, held = with_lost_voltages(machine, data, held_out, log)
+        if held:
+            logged, all_rows = held_over_gaps(logged), held_over_gaps(all_rows)
+        refitted = self._refitted(data)
+        different = _different_run(refitted, data, held_out, self._criteria)
+        if different is not None:
+            log(f"{different} differs from the other runs; searching without it")
+            data, all_rows = _without_run(data, different), _without_run(all_rows, different)
+            refitted = self._refitted(data)
+        return _Runs(
+            data,
             held_out,
-            log,
-            fitted_with_errors=voltages.fitted_with_errors,
-            agreeing=agreeing,
+            all_rows if in_part else None,
+            refitted,
+            voltages={run.name: run.inputs for run in logged.runs},
+            left_out=different,
+            messages=(*unused, *excluded),
         )
-        quality = describe_interpolation(runs.refitted.machine, fitted)
-        messages = (*messages, _BETWEEN_ROWS.format(changes, quality, per_row))
-    fitted = dataclasses.replace(fitted, updates_rejected=voltages.rejected)
-    # The errors of voltages between all rows of a long log would need too much memory.
-    all_rows = runs.all_rows if per_row == 1 else None
-    # Voltages that are estimated by a machine would make its parameters part of the plain fit.
-    to_fit = fitted.with_inputs(runs.voltages) if all_rows is None else all_rows
-    plain = plain_fit(machine, to_fit, budget)
-    if plain is not None and plain.seconds is not None:
-        messages = (*messages, _PLAIN_ENDED.format(plain.seconds))
-        log(f"  the plain fit ended after {plain.seconds:.0f} s of processor time, its part of the budget")
-    before_search(plain, fitted, held_out)
-    found = _search(
-        machine,
-        fitted,
-        held_out,
-        all_rows,
-        plain,
-        voltages.selected,
-        refitted=runs.refitted,
-        criteria=criteria,
-        log=log,
-        budget=budget,
-    )._replace(messages=messages)
-    return found if runs.left_out is None else found.without_run(runs.left_out)
 
+    def _agreeing(self, runs: _Runs) -> tuple[Fit, Dataset]:
+        """Return the runs that show what voltages do between the rows, and the machine refitted to them.
 
-def _divided(
-    machine: Machine,
-    all_runs: Dataset,
-    held_names: Sequence[str],
-    criteria: SelectionCriteria,
-    log: LineLog,
-    budget: Budget,
-) -> _Runs:
-    """Return the runs to fit and those held out, without one that alone differs, and the machine refitted to them."""
-    fitted_names = [run.name for run in all_runs.runs if run.name not in held_names]
-    held_out, excluded = with_known_positions(all_runs.with_runs(held_names))
-    all_rows, unused = with_known_positions(all_runs.with_runs(fitted_names))
-    names = ", ".join(run.name for run in held_out.runs)
-    log(f"fitting {machine.name} to {len(all_rows.runs)} runs, {len(held_out.runs)} held out ({names})")
-    data = representative_part(all_rows, machine, size=budget.session_part * NORMAL_SESSION)
-    in_part = data is not all_rows
-    if in_part:
-        log(f"effects are searched for in {describe_part(data, all_rows)}")
-        all_rows = representative_part(all_rows, machine, size=budget.session_part * LARGEST_FIT)
-    logged = data
-    data, held_out, held = with_lost_voltages(machine, data, held_out, log)
-    if held:
-        logged, all_rows = held_over_gaps(logged), held_over_gaps(all_rows)
-    refitted = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
-    different = _different_run(refitted, data, held_out, criteria)
-    if different is not None:
-        log(f"{different} differs from the other runs; searching without it")
-        data, all_rows = _without_run(data, different), _without_run(all_rows, different)
-        refitted = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
-    return _Runs(
-        data,
-        held_out,
-        all_rows if in_part else None,
-        refitted,
-        voltages={run.name: run.inputs for run in logged.runs},
-        left_out=different,
-        messages=(*unused, *excluded),
-    )
+        The error of a run that contradicts the others would hide what the voltages cause.
+        """
+        if can_show_updates(runs.fitted):
+            self._log(
+                f"comparing held {self._machine.commands_in_words} with some that change between the rows"
+            )
+            suspect = contradicting_run(runs.refitted, runs.fitted)
+            if suspect is not None:
+                agreeing = _without_run(runs.fitted, suspect)
+                return self._refitted(agreeing), agreeing
+        return runs.refitted, runs.fitted
 
+    def _refitted(self, data: Dataset) -> Fit:
+        """Return the machine refitted to some runs."""
+        return fit(self._machine, default_free_parameters(self._machine), data, SEARCH_BANDWIDTH)
 
-def _agreeing_runs(runs: _Runs, machine: Machine, log: LineLog) -> tuple[Fit, Dataset]:
-    """Return the runs that show what voltages do between the rows, and the machine refitted to them.
+    def _found(
+        self, runs: _Runs, plain: PlainFit | None, selected: tuple[SelectedEffect, ...]
+    ) -> CheckedOutcome:
+        """Search in the fitted runs or a part of them, fit to all rows what is found, and compare with held-out runs.
 
-    The error of a run that contradicts the others would hide what the voltages cause.
-    """
-    if can_show_updates(runs.fitted):
-        log(f"comparing held {machine.commands_in_words} with some that change between the rows")
-        suspect = contradicting_run(runs.refitted, runs.fitted)
-        if suspect is not None:
-            agreeing = _without_run(runs.fitted, suspect)
-            return fit(machine, default_free_parameters(machine), agreeing, SEARCH_BANDWIDTH), agreeing
-    return runs.refitted, runs.fitted
+        Args:
+            runs: The runs.
+            plain: Plain fit to the fitted ones, if there is one.
+            selected: Effects that the search before selected, which assumed other voltages between the rows.
+        """
+        log, data, all_rows = self._log, runs.fitted, runs.all_rows
+        start = _start(self._machine, data, plain, log)
+
+        def confirmed(outcome: SearchOutcome) -> bool:
+            differing = _contradicting_runs(outcome, runs.held_out)
+            if differing:
+                log(f"{', '.join(differing)} contradicts these runs as well; searching in all fitted runs")
+            return not differing
+
+        outcome = search_effects(
+            start,
+            data,
+            self._criteria,
+            log,
+            confirmed=confirmed,
+            budget=self._budget,
+            ends=stage_ends(self._machine, in_part=all_rows is not None),
+            refitted=runs.refitted if start is self._machine and not data.has_voltage_errors else None,
+            known=selected,
+        )
+        if all_rows is not None:
+            contradiction = outcome.contradiction
+            agreeing = all_rows if contradiction is None else _without_run(all_rows, contradiction)
+            # Like held-out runs, other rows can only remove effects.
+            outcome = without_unconfirmed(outcome, agreeing, log)
+            outcome = fitted_to_all_rows(outcome, start, agreeing, self._criteria, log, self._budget)
+        differing = _contradicting_runs(outcome, runs.held_out)
+        return CheckedOutcome(outcome, runs.held_out, differing, runs.messages, plain)
 
 
 def _without_run(data: Dataset, name: str) -> Dataset:
@@ -363,86 +392,23 @@ def _different_run(
     return different if different in [run.name for run in data.runs] else None
 
 
-def interpolated(
-    machine: Machine,
-    updates: int,
-    data: Dataset,
-    held_out: Dataset,
-    log: LineLog,
-    *,
-    fitted_with_errors: bool,
-    agreeing: Sequence[str],
-) -> tuple[Dataset, Dataset]:
-    """Return runs whose voltages are interpolated between the rows, with the errors that this causes.
+def _interpolated(voltages: _Voltages, runs: _Runs, agreeing: Sequence[str], log: LineLog) -> _Runs:
+    """Return the runs with interpolated voltages, without the rows of which the search needs none.
 
     How the predictions respond to errors of the voltages follows from a machine that is fitted to these runs. A fit
-    that does not allow for these errors takes the motion that they cause for friction. A machine that was fitted with
-    them is therefore not fitted again without them.
-
-    Args:
-        machine: Machine that shows how the predictions respond to the voltages.
-        updates: Changes of the voltages from one row to the next.
-        data: Runs to fit, with held voltages.
-        held_out: Held-out runs, with held voltages.
-        log: Called with a line of text.
-        fitted_with_errors: Whether the fit of the machine allowed for errors of interpolated voltages; otherwise it
-            is fitted to these runs first.
-        agreeing: Names of the runs to which it is then fitted, without one that contradicts the others.
-
-    Returns:
-        Runs to fit, and held-out runs.
+    that does not allow for these errors takes the motion that they cause for friction. A machine that was fitted
+    with them is therefore not fitted again without them. The errors of voltages between all rows of a long log
+    would need too much memory.
     """
+    machine, updates = voltages.responding, voltages.updates.per_row
     data, held_out, _ = with_lost_voltages(
-        machine, data.with_updates(updates), held_out.with_updates(updates), log
+        machine, runs.fitted.with_updates(updates), runs.held_out.with_updates(updates), log
     )
-    if not fitted_with_errors:
+    if not voltages.fitted_with_errors:
         free = default_free_parameters(machine)
         machine = fit(machine, free, data.with_runs(agreeing), SEARCH_BANDWIDTH).machine
-    return with_voltage_errors(machine, data), with_voltage_errors(machine, held_out)
-
-
-def _search(
-    machine: Machine,
-    data: Dataset,
-    held_out: Dataset,
-    all_rows: Dataset | None,
-    plain: PlainFit | None,
-    selected: tuple[SelectedEffect, ...],
-    *,
-    refitted: Fit,
-    criteria: SelectionCriteria,
-    log: LineLog,
-    budget: Budget,
-) -> CheckedOutcome:
-    """Search for effects in the fitted runs or a part of them, fit them to all rows, and compare with held-out runs."""
-    start = _start(machine, data, plain, log)
-
-    def confirmed(outcome: SearchOutcome) -> bool:
-        differing = _contradicting_runs(outcome, held_out)
-        if differing:
-            log(f"{', '.join(differing)} contradicts these runs as well; searching in all fitted runs")
-        return not differing
-
-    refit = refitted if start is machine and not data.has_voltage_errors else None
-    outcome = search_effects(
-        start,
-        data,
-        criteria,
-        log,
-        confirmed=confirmed,
-        budget=budget,
-        ends=stage_ends(machine, in_part=all_rows is not None),
-        refitted=refit,
-        known=selected,
-    )
-    if all_rows is not None:
-        contradiction = outcome.contradiction
-        agreeing = all_rows if contradiction is None else _without_run(all_rows, contradiction)
-        # Like held-out runs, other rows can only remove effects.
-        outcome = without_unconfirmed(outcome, agreeing, log)
-        outcome = fitted_to_all_rows(outcome, start, agreeing, criteria, log, budget)
-    differing = _contradicting_runs(outcome, held_out)
-    return CheckedOutcome(outcome, held_out, differing, plain=plain)
+    fitted, held_out = (with_voltage_errors(machine, each) for each in (data, held_out))
+    return runs._replace(fitted=fitted, held_out=held_out, all_rows=None)
 
 
 def _start(machine: Machine, data: Dataset, plain: PlainFit | None, log: LineLog) -> Machine:

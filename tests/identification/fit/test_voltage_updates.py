@@ -25,7 +25,7 @@ from hframe_gym.identification.fit.voltage_updates import (
 )
 from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH, SIMULATION, predict
 from hframe_gym.identification.predict.voltage_errors import with_voltage_errors
-from hframe_gym.identification.search.checked_search import find_effects, interpolated
+from hframe_gym.identification.search.checked_search import _interpolated, _Runs, _Voltages, find_effects
 from hframe_gym.identification.validate.recording_simulation import simulate_recording
 from hframe_gym.machine import BUILTIN_MACHINES
 from hframe_gym.preparation.interpolated_voltages import mean_inputs, update_times, updated_inputs
@@ -340,19 +340,14 @@ def test_a_run_with_another_gain_does_not_hide_changes_between_the_rows() -> Non
 def test_a_machine_that_was_fitted_with_errors_of_the_voltages_shows_them(fitted_with_errors: bool) -> None:
     """A carriage of half the mass responds to the voltages twice as much."""
     light, data = AXIS.replace({"x.mass": 0.5 * RIG.coordinates[0].mass}), slow_log(4)
-    fitted, held_out = interpolated(
-        light,
-        4,
-        data,
-        data,
-        print,
-        fitted_with_errors=fitted_with_errors,
-        agreeing=[run.name for run in data.runs],
-    )
+    updates = VoltageUpdates(4, held=2.0, fitted=1.0)
+    voltages = _Voltages(updates, light, fitted_with_errors, selected=(), rejected={})
+    runs = _Runs(data, data, None, refitted(data), voltages={}, left_out=None, messages=())
+    interpolated = _interpolated(voltages, runs, [run.name for run in data.runs], print)
     expected = light if fitted_with_errors else refitted(data.with_updates(4)).machine
     errors = with_voltage_errors(expected, data.with_updates(4)).runs[0].voltage_errors
     assert errors is not None
-    for run in (fitted.runs[0], held_out.runs[0]):
+    for run in (interpolated.fitted.runs[0], interpolated.held_out.runs[0]):
         assert run.voltage_errors is not None
         np.testing.assert_allclose(
             run.voltage_errors.log_variance(SEARCH_BANDWIDTH),

@@ -197,7 +197,7 @@ def test_the_run_that_is_held_out_in_exchange_confirms_an_effect(
     before, outcome = outcome_with_force(axis, data, 0.3, True)
     first = SearchOutcome(before, True, True, "no_effect", before, (), (), data)
     searches = [CheckedOutcome(first, run, ("run_1",)), CheckedOutcome(outcome, run, ())]
-    monkeypatch.setattr(checked_search, "_search_and_check", lambda *arguments: searches.pop(0))
+    monkeypatch.setattr(checked_search._RunSearch, "without", lambda *arguments: searches.pop(0))
     found = checked_search.find_effects(
         axis,
         data,
