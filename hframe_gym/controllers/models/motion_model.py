@@ -193,12 +193,22 @@ class MotionModel:
         """
         return travel[:, : len(self.mass)] - self.tool_position(travel) @ self.rigid.T
 
-    def discretize(self, goal: Array, period: float) -> tuple[Array, Array, Array]:
+    @property
+    def rigid_part(self) -> Array:
+        """Matrix from states to positions and velocities of the motion with rigid belts, shape (2 axes, 2 n).
+
+        That motion has the same momentum along each axis. Vibrations of the belts have none.
+        """
+        momentum = self.rigid.T * self.mass
+        return np.asarray(np.kron(np.eye(2), np.linalg.solve(momentum @ self.rigid, momentum)), np.float64)
+
+    def discretize(self, goal: Array, period: float, *, rigid: bool = False) -> tuple[Array, Array, Array]:
         """Linearize the machine, without Coulomb friction, and discretize it with zero-order hold.
 
         Args:
             goal: Tool position of the linearization, m, shape (axes,).
             period: Control period, s.
+            rigid: Whether belts are rigid; the state is then that of `rigid_part`, with 2 axes in place of 2 n entries.
 
         Returns:
             System matrix of the state, shape (2 n, 2 n), input matrix of the voltages, (2 n, drives), and of
@@ -207,6 +217,9 @@ class MotionModel:
         space = linearize(self.machine, self.rigid @ goal / self.machine.travel_per_unit)
         A, B = space.A * self._scale[:, None] / self._scale, space.B * self._scale[:, None]
         E = np.vstack([np.zeros((len(self.mass),) * 2), np.diag(1.0 / self.mass)])
+        if rigid:
+            average = self.rigid_part
+            A, B, E = average @ A @ np.kron(np.eye(2), self.rigid), average @ B, average @ E
         block = np.zeros((len(A) + B.shape[1] + E.shape[1],) * 2)
         block[: len(A)] = np.hstack([A, B, E])
         # The exponential of [[A, B, E], [0, 0, 0]] * period holds the three discrete-time matrices in its first rows.

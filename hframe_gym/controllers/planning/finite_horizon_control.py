@@ -1,6 +1,6 @@
 """Finite-horizon optimal control: minimum-energy transfers to a fixed goal, and preview control of a moving goal.
 
-Minimum-energy transfers (point-to-point references and their feedback gains)
+Minimum-energy transfers (feedback gains of motions from point to point)
     A transfer of N periods is a motion that brings the state to rest at the goal within N control periods. With
     voltages constant over each period, the state error after N periods is A^N e + sum_j A^(N-1-j) B u_j. Of all
     voltages that bring the error to zero in N periods, those with the least sum of squares are
@@ -10,7 +10,10 @@ Minimum-energy transfers (point-to-point references and their feedback gains)
     and for each number of periods to go the first of them is a feedback gain on the full state. The shortest transfer
     whose voltages stay within the limits comes close to the time optimum because back-EMF makes the stage viscous:
     minimum energy then means constant voltage during the cruise and an exponential brake that ends at the same voltage
-    with opposite sign. The belt modes are part of A, so that they are at rest at the end of a transfer.
+    with opposite sign. The belt modes are part of A, so that they are at rest at the end of a transfer, unless all of
+    them are above half the control rate. Near that rate a vibration hardly differs, at the sampling instants, from the
+    motion of rigid belts. Gains that tell both apart would be large, and unstable where the stiffness of the belts is
+    another one by a few percent; A is then that of rigid belts, which transmit what the drives do within a period.
 
 Preview control (a least-squares plan over the previewed goals, renewed every period)
     With a force f on each coordinate the state follows z+ = A z + B u + E f. Of all voltages over the H previewed
@@ -38,8 +41,8 @@ from numpy.typing import NDArray
 
 from ...arrays import Array, ElapsedTimes, Mask, ToolPositions, TravelStates, Volts
 from ...dynamics import belt_modes
-from ..control_period import check_period
-from ..models.linear_motion import reachability, scaled_matrices, state_scale
+from ..control_period import check_period, shorter_period
+from ..models.linear_motion import reachability, state_scale
 from ..models.motion_model import MotionModel, OperatingPointGrid
 
 # Shortest transfer in periods of the slowest belt mode; a shorter one needs the mode's frequency more accurately than a
@@ -102,6 +105,8 @@ class TransferDesign:
         self.period = check_period(period)
         self.grid = OperatingPointGrid(model.machine)
         states, inputs = 2 * len(model.mass), model.drive.shape[1]
+        self._rigid = shorter_period(model.machine, period) is not None
+        self._from_state = model.rigid_part if self._rigid else np.eye(states)  # to the state of A
         modes = belt_modes(model.machine)
         mode_period = 1.0 / min(modes) if modes else 0.0
         # Fewer than states / inputs periods cannot bring every state to zero.
@@ -140,12 +145,12 @@ class TransferDesign:
         for N, (pulse, W, power) in enumerate(reachability(A, B, max(durations)), 1):
             costate = np.zeros(0)
             if N in durations:
-                costate = np.linalg.pinv(W, rcond=1e-15, hermitian=True) @ power / scale
+                costate = np.linalg.pinv(W, rcond=1e-15, hermitian=True) @ power / scale @ self._from_state
             yield N, pulse, costate
 
     def _discretized(self, point: int) -> tuple[Array, Array]:
         """Return the system matrix and the input matrix of the voltages at an operating point."""
-        return self.model.discretize(self.grid.points[point], self.period)[:2]
+        return self.model.discretize(self.grid.points[point], self.period, rigid=self._rigid)[:2]
 
 
 class MinimumEnergyTransfers(TransferDesign):
@@ -159,10 +164,10 @@ class MinimumEnergyTransfers(TransferDesign):
 
     def __init__(self, model: MotionModel, period: float) -> None:
         super().__init__(model, period)
-        self._matrices = [self._discretized(point) for point in range(len(self.grid.points))]
+        matrices = [self._discretized(point) for point in range(len(self.grid.points))]
         back: list[Array] = []  # B' A'^j
         gains = []
-        for N, pulse, costate in self._costates(self._matrices, range(self.shortest, self.longest + 1)):
+        for N, pulse, costate in self._costates(matrices, range(self.shortest, self.longest + 1)):
             back.append(pulse.transpose(0, 2, 1))
             if self.shortest > N:
                 continue
@@ -206,38 +211,6 @@ class MinimumEnergyTransfers(TransferDesign):
             )
         volts = np.einsum("bij,bj->bi", self.gains[points, high, 0], error)
         return TransferSelection(high + self.shortest, volts)
-
-    def reference(self, start: Array, goal: Array, limit: Array) -> tuple[Array, Array]:
-        """Compute the minimum-energy motion from rest to rest, in the fewest periods that the voltage limits admit.
-
-        The machine is linearized at the goal, without Coulomb friction. If no motion of up to `longest` periods (an
-        attribute) satisfies the limits, the result is the motion of `longest` periods, which exceeds the limits.
-
-        Args:
-            start: Tool position at the start, m, shape (axes,).
-            goal: Tool position at the end, m, shape (axes,).
-            limit: Largest voltage magnitude of each drive, V, shape (drives,).
-
-        Returns:
-            positions: Tool positions at the start and at the end of each of N periods, m, shape (N + 1, axes).
-            volts: Voltages, constant over each period, V, shape (N, drives).
-        """
-        start, goal = (self.model.axis_travel(np.asarray(point))[None] for point in (start, goal))
-        error = self.model.goal_state(start) - self.model.goal_state(goal)
-        N = int(self.select(error, goal, (-limit[None], limit[None]), np.array([self.shortest])).periods[0])
-        A, B = scaled_matrices(*self._matrices[int(self.grid.nearest(goal)[0])])
-        scale = state_scale(len(A))
-        powers = [np.eye(len(A))]
-        for _ in range(N):
-            powers.append(A @ powers[-1])
-        # The voltages with the least sum of squares that bring the scaled state error to zero in N periods.
-        # Reachability matrix, (2 n, drives * N).
-        response = np.hstack([powers[j] @ B for j in reversed(range(N))])
-        volts = -np.linalg.lstsq(response, powers[N] @ (error[0] / scale), rcond=None)[0].reshape(N, -1)
-        states = [error[0] / scale]
-        for period_volts in volts:
-            states.append(A @ states[-1] + B @ period_volts)
-        return (np.array(states)[:, self.model.tool] + goal) / self.model.axis_radii, volts
 
 
 class PreviewGains:

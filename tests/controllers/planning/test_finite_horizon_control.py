@@ -16,6 +16,7 @@ from hframe_gym.controllers import (
     PreviewGains,
     TextbookPID,
     TransferDesign,
+    scaled_machine,
 )
 from hframe_gym.controllers.planning.finite_horizon_control import VOLTAGE_CHANGE_WEIGHT
 from hframe_gym.dynamics import rollout, simulate
@@ -33,24 +34,50 @@ def transfers(hframe: Machine) -> MinimumEnergyTransfers:
     return MinimumEnergyTransfers(MotionModel(hframe), 0.01)
 
 
-def test_reference_ends_at_the_goal_within_the_voltage(transfers: MinimumEnergyTransfers) -> None:
-    path, volts = transfers.reference(np.array([-0.2, 0.1]), np.array([0.15, -0.05]), RATED)
-    np.testing.assert_allclose(path[0], [-0.2, 0.1])
-    np.testing.assert_allclose(path[-1], [0.15, -0.05], atol=1e-8)
-    assert 0.9 * 12.0 < np.abs(volts).max() <= 12.0
-
-
-def test_reference_stops_the_simulated_stage_with_its_belts_at_rest() -> None:
-    """On the linear machine the voltages, applied open loop, stop the stage at its goal."""
+def test_transfers_stop_the_simulated_stage_with_its_belts_at_rest() -> None:
+    """On the linear machine, the voltages planned anew in each period of the model end at the goal, open loop."""
     machine = BUILTIN_MACHINES["hframe-linear"]()
     transfers = MinimumEnergyTransfers(MotionModel(machine), 0.01)
-    start, goal = np.array([0.0, 0.0]), np.array([0.12, -0.08])
-    path, volts = transfers.reference(start, goal, RATED)
+    model, goal = transfers.model, np.array([[0.12, -0.08]])
+    A, B, _ = model.discretize(goal[0], transfers.period)
+    error, periods, planned = -model.goal_state(goal), transfers.longest, []
+    while periods > transfers.shortest:
+        periods, volts = transfers.select(error, goal, LIMITS, np.array([transfers.shortest]))
+        planned.append(volts[0])
+        error = error @ A.T + volts @ B.T
+    for _ in range(transfers.shortest - 1):  # the gain of the shortest transfer is deadbeat
+        planned.append(transfers.select(error, goal, LIMITS, periods).volts[0])
+        error = error @ A.T + planned[-1] @ B.T
+    assert 0.9 * 12.0 < np.abs(planned).max() <= 12.0
     rest = np.zeros((20, 2))
-    time = 0.01 * np.arange(len(volts) + len(rest))
-    motion = simulate(machine, time, np.vstack([volts, rest]))
-    np.testing.assert_allclose(motion.positions[: len(volts), :2], path[:-1], atol=2e-6)
-    np.testing.assert_allclose(motion.positions[len(volts) :, :2], np.tile(goal, (20, 1)), atol=2e-6)
+    motion = simulate(machine, 0.01 * np.arange(len(planned) + len(rest)), np.vstack([planned, rest]))
+    np.testing.assert_allclose(motion.positions[len(planned) :, :2], np.tile(goal, (20, 1)), atol=2e-6)
+
+
+@pytest.mark.parametrize(("name", "period"), [("corexy", 0.01), ("belt-axis", 0.01), ("corexy", 0.012)])
+def test_belts_that_vibrate_above_half_the_control_rate_are_rigid_in_the_gains(
+    name: str, period: float
+) -> None:
+    """The gains of an operating point stay stable where the belts are stiffer or softer by a tenth."""
+    machine = BUILTIN_MACHINES[name]()
+    design = TransferDesign(MotionModel(machine), period)
+    middle = int(design.grid.nearest(np.zeros((1, len(machine.tool_axes))))[0])
+    gain = design.first_gains([0], [middle])[0, 0]
+    for stiffness in (0.9, 0.95, 1.0, 1.05, 1.1):
+        A, B, _ = MotionModel(scaled_machine(machine, stiffness, 1.0)).discretize(
+            design.grid.points[middle], period
+        )
+        assert np.abs(np.linalg.eigvals(A + B @ gain)).max() < 1.0
+
+
+def test_controls_belts_that_vibrate_above_half_the_control_rate() -> None:
+    machine = BUILTIN_MACHINES["corexy"]()
+    controller = ModelBasedController(machine, 0.01)
+    env = HFrameVectorEnv(32, machine=machine)
+    observation, info = env.reset(seed=0)
+    for _ in range(100):
+        observation, *_, info = env.step(controller.act(observation))
+    assert np.all(info["distance_m"] < 2e-4)
 
 
 def test_replanning_continues_the_transfer(transfers: MinimumEnergyTransfers) -> None:
