@@ -16,10 +16,9 @@ from typing import Any
 
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
 from typing_extensions import override
 
-from ..controllers import Controller, UnitCheck
+from ..controllers import PolicyController
 from ..envs import EnvOptions, as_sensors
 from ..envs.observation.spaces import ObservationFormat
 from ..errors import InputError
@@ -41,7 +40,7 @@ _NO_REPLAY: dict[str, Any] = {"buffer_size": 1, "replay_buffer_class": None, "re
 _ON_POLICY = "stable_baselines3.common.policies"
 
 
-class Sb3Model(Controller):
+class Sb3Model(PolicyController):
     """Controller that applies the mean action of a model, on observations in the form of its training.
 
     Args:
@@ -51,21 +50,16 @@ class Sb3Model(Controller):
         full_state: Whether it observes the full state instead of sensors.
     """
 
-    feedback = "observation"
-
     def __init__(
         self, model: Any, form: ObservationFormat, machine: Machine, period: float, full_state: bool = True
     ) -> None:
-        super().__init__(machine, period)
-        self.model, self._form = model, form
-        self._check_units = UnitCheck(machine, full_state)
+        super().__init__(self._mean_actions, form, machine, period, full_state)
+        self.model = model
 
-    @override
-    def act(self, observation: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
-        self._check_units(observation)
+    def _mean_actions(self, observation: Any) -> Any:
+        """Return the mean actions of the model."""
         with single_threaded_torch():
-            actions, _ = self.model.predict(self._form.apply(dict(observation)), deterministic=True)
-        return np.asarray(actions, np.float64)
+            return self.model.predict(observation, deterministic=True)[0]
 
 
 @CONTROLLER_SOURCES.register("stable-baselines3")

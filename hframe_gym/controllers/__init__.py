@@ -4,6 +4,7 @@ One file for each control law, and rooms for what they share:
 
 base                    interface, registry, full-state and output-feedback controllers
 environment_controller  controller on observations as an environment with `normalize` or `flat` returns them
+policy_controller       function of observations, such as a policy of any library, as a controller
 control_period          control periods at which a controller can damp the vibrations on the belts
 
 textbook_pid            the baseline (`textbook-pid`)
@@ -45,6 +46,7 @@ from .planning.finite_horizon_control import (
     TransferDesign,
 )
 from .planning.simulated_transfers import SimulatedTransfers
+from .policy_controller import Policy, PolicyController
 from .predictive_controller import PredictiveController
 from .set_point import SetPointController
 from .textbook_pid import TextbookPID
@@ -68,6 +70,8 @@ __all__ = [
     "ParameterFilter",
     "ParameterRatios",
     "ParameterWindow",
+    "Policy",
+    "PolicyController",
     "PredictiveController",
     "PreviewGains",
     "PreviewTracker",

@@ -12,9 +12,11 @@ from ..controllers import (
     Controller,
     EnvironmentController,
     OutputFeedbackController,
+    Policy,
+    PolicyController,
     StateEstimator,
 )
-from ..envs import MachineLike, SensorsLike, TaskLike, action_space, observed_machine
+from ..envs import MachineLike, SensorsLike, TaskLike, action_space, as_sensors, observed_machine
 from ..envs.environment_batch import EnvironmentBatch, batch_of
 from ..errors import InputError, suggestion
 from ..machine import Machine
@@ -76,21 +78,23 @@ CONTROLLER_SOURCES: Registry[type[ControllerSource]] = Registry("controller sour
 
 
 def make_controller(
-    name: str,
+    name: str | Policy,
     machine: MachineLike | Scenario | Any = "hframe",
     *,
     task: TaskLike = "reach",
     sensors: SensorsLike = "state",
     period: float = 0.01,
 ) -> Controller:
-    """Create a controller by its name.
+    """Create a controller by its name, or of a policy of your own.
 
     Controllers are designed from the machine's nominal parameters. If the environment observes sensors, a controller
     whose class attribute `feedback` is "estimated_state" (such as `pid`) is combined with a `StateEstimator`.
 
     Args:
         name: A registered name (`pid`, `adaptive-pid`, `textbook-pid`), `module:name` of one that a module registers,
-            or a name that a registered `ControllerSource` accepts: a shipped agent or the folder of an agent.
+            or a name that a registered `ControllerSource` accepts: a shipped agent or the folder of an agent. Or a
+            policy: a function of observations as the environment, which must be given, returns them for n machines,
+            that returns their actions, shape (n, drives).
         machine: Machine, built-in name or machine.json; or a `Scenario`, or an environment of this package (single,
             vector or `HFrameVecEnv`, also in wrappers), which replace all further arguments. For an environment, the
             controller reads observations as the environment returns them, whatever `normalize` and `flat` are.
@@ -120,7 +124,17 @@ def make_controller(
                 f"make_controller: controllers preview one goal per control period of {config.period:g} s; make the "
                 f"environment with task={of_environment.controller_task!r}"
             )
-        return EnvironmentController(make_controller(name, of_environment), batch.format)
+        if callable(name):
+            machine, full_state = of_environment.declared_machine, as_sensors(config.sensors) is None
+            controller: Controller = PolicyController(name, batch.format, machine, config.period, full_state)
+        else:
+            controller = make_controller(name, of_environment)
+        return EnvironmentController(controller, batch.format)
+    if not isinstance(name, str):
+        raise InputError(
+            f"make_controller: {name!r} is no name; if it is a policy, a function of observations, give the "
+            "environment whose observations it takes: make_controller(policy, env)"
+        )
     scenario = (
         machine if isinstance(machine, Scenario) else Scenario(machine, task, sensors=sensors, period=period)
     )
@@ -128,9 +142,9 @@ def make_controller(
     if name in CONTROLLERS or (names_module(name) and not Path(name).exists()):
         return _make_registered(name, scenario)
     for source_name in CONTROLLER_SOURCES:
-        controller = CONTROLLER_SOURCES.get(source_name).make(name, scenario)
-        if controller is not None:
-            return controller
+        from_source = CONTROLLER_SOURCES.get(source_name).make(name, scenario)
+        if from_source is not None:
+            return from_source
     sources = [CONTROLLER_SOURCES.get(source_name).describe(scenario) for source_name in CONTROLLER_SOURCES]
     choices = [", ".join(CONTROLLERS), "module:name of a controller that a module registers", *sources]
     problem = " is unknown"

@@ -49,7 +49,7 @@ class Evaluation(NamedTuple):
 
 
 def evaluate(
-    controllers: str | Iterable[str] | Mapping[str, Controller],
+    controllers: str | Iterable[str] | Mapping[str, str | Controller],
     machine: MachineLike | Scenario = "hframe",
     *,
     task: TaskLike = "reach",
@@ -66,7 +66,8 @@ def evaluate(
         Metrics: hframe_gym/evaluation/metrics.py; bounds: docs/bound.md.
 
     Args:
-        controllers: Names of controllers (such as "pid"), agents or folders; or controllers by the names in results.
+        controllers: Names of controllers (such as "pid"), agents or folders; or controllers or their names by the
+            names in results. `make_controller(policy, env)` makes a controller of a function of observations.
         machine: Machine, built-in name or machine.json; or a `Scenario`, which replaces all further arguments.
         task: "reach", "track", the name of another registered task, or a task object.
         randomize: Preset name or list of randomization rules for the machine's parameters.
@@ -93,12 +94,10 @@ def evaluate(
     for concern in (period_concern(declared, scenario.period), unmeasured_workspace(declared)):
         if concern:
             warnings.warn(concern, stacklevel=2)
-    if not isinstance(controllers, Mapping):
-        names = [controllers] if isinstance(controllers, str) else list(controllers)
-        controllers = {name: make_controller(name, scenario) for name in dict.fromkeys(names)}
-    if not controllers:
+    made = _made(controllers, scenario)
+    if not made:
         raise InputError("evaluate needs at least one controller")
-    recorded = {name: rollout(controller, scenario) for name, controller in controllers.items()}
+    recorded = {name: rollout(controller, scenario) for name, controller in made.items()}
     bounds = stored_bounds(scenario)
     scores = {}
     for name, controller_episodes in recorded.items():
@@ -107,6 +106,26 @@ def evaluate(
         )
         scores[name] = metrics | ({"over_bound_reason": bounds.reason} if "over_bound" in metrics else {})
     return Evaluation(_describe(scenario) | {"controllers": scores}, recorded)
+
+
+def _made(
+    controllers: str | Iterable[str] | Mapping[str, str | Controller], scenario: Scenario
+) -> dict[str, Controller]:
+    """Return the controllers of `evaluate` by the names in results; raise InputError for what is none."""
+    if isinstance(controllers, str) or not isinstance(controllers, Iterable):
+        controllers = [controllers]
+    if not isinstance(controllers, Mapping):
+        controllers = {name: name for name in controllers}
+    made = {}
+    for name, given in controllers.items():
+        controller = make_controller(given, scenario) if isinstance(given, str) else given
+        if not isinstance(name, str) or not isinstance(controller, Controller):
+            raise InputError(
+                f"evaluate: {given!r} is no name of a controller; give controllers with the names that they have in "
+                'results, {"mine": controller}; make_controller(policy, env) makes one of a function of observations'
+            )
+        made[name] = controller
+    return made
 
 
 def _describe(scenario: Scenario) -> dict[str, Any]:

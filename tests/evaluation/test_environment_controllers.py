@@ -11,7 +11,7 @@ import pytest
 from hframe_gym.controllers import Controller, EnvironmentController
 from hframe_gym.envs import HFrameVectorEnv, Track
 from hframe_gym.errors import InputError
-from hframe_gym.evaluation import evaluate, make_controller
+from hframe_gym.evaluation import Scenario, evaluate, make_controller
 
 FORMATS = [{}, {"normalize": True}, {"flat": True}, {"normalize": True, "flat": True, "error": True}]
 PERIODS = 100
@@ -49,6 +49,45 @@ def test_a_single_environment_needs_no_batch_axis(name: str, options: dict[str, 
         assert env.action_space.contains(action)
         observation, *_, info = env.step(action)
     assert info["distance_m"] < 2e-4
+
+
+@pytest.mark.parametrize("options", FORMATS[::3])
+def test_a_function_of_observations_is_a_controller(options: dict[str, bool]) -> None:
+    """It receives observations as the environment returns them, also where an evaluation has others."""
+    env = HFrameVectorEnv(1, **options)  # type: ignore[arg-type]
+    policy = make_controller("textbook-pid", env).act
+    scenario = Scenario("hframe", episodes=4, duration_s=0.3)
+    mine, given = evaluate(
+        {"mine": make_controller(policy, env), "given": "textbook-pid"}, scenario
+    ).episodes.values()
+    np.testing.assert_allclose(mine.position, given.position, atol=5e-5)
+    assert make_controller(policy, env).act(env.reset(seed=0)[0]).shape == (1, 2)
+
+
+@pytest.mark.parametrize(
+    ("options", "actions", "message"),
+    [
+        ({}, np.zeros(2), r"shape \(2,\) for 4 observations; return one row"),
+        ({}, np.full((4, 2), np.nan), "not finite"),
+        ({"privileged": True}, np.zeros((4, 2)), "observes 8 entries of privileged, and there are 0"),
+        ({"machine": "axis"}, np.zeros((4, 1)), "observes 1 entries of achieved_goal, and there are 2"),
+    ],
+)
+def test_a_function_that_does_not_fit_is_refused(options: dict[str, Any], actions: Any, message: str) -> None:
+    controller = make_controller(lambda _: actions, gym.make("HFrame-v0", **options))
+    with pytest.raises(InputError, match=message):
+        evaluate({"mine": controller}, Scenario("hframe", episodes=4, duration_s=0.1))
+
+
+def test_a_function_needs_its_environment_and_a_name() -> None:
+    def policy(observation: Any) -> Any:
+        return observation
+
+    with pytest.raises(InputError, match=r"give the environment whose observations it takes"):
+        make_controller(policy)
+    for wrong in (policy, [policy], {"mine": policy}, [make_controller(policy, gym.make("HFrame-v0"))]):
+        with pytest.raises(InputError, match=r"make_controller\(policy, env\) makes one"):
+            evaluate(wrong, Scenario("hframe", episodes=4, duration_s=0.1))  # type: ignore[arg-type]
 
 
 def test_the_adapter_of_stable_baselines3_is_an_environment_too() -> None:

@@ -300,6 +300,11 @@ class ObservationFormat:
             else spaces.Dict({key: box(*edges) for key, edges in boxes.items()})
         )
 
+    @property
+    def sizes(self) -> dict[str, int]:
+        """Numbers of entries of the arrays in SI units, by key."""
+        return {key: len(center) for key, center in self._center.items()}
+
     def _normalized(self, key: str, values: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return (values - center) / scale of the entries of a key, values (rows, n)."""
         normalized = np.empty(values.shape, np.float32)
@@ -340,7 +345,7 @@ class ObservationFormat:
         Raises:
             InputError: If the observation has other keys or another number of entries than this format.
         """
-        sizes = {key: len(center) for key, center in self._center.items()}
+        sizes = self.sizes
         if self.entries is not None:
             joined = np.asarray(observation, np.float32)
             if joined.ndim != 2 or joined.shape[1] != len(self.entries):
