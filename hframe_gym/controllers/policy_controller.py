@@ -26,7 +26,7 @@ class PolicyForm(Protocol):
         """Numbers of entries of the arrays, before `apply`, by key."""
 
     def apply(self, observation: dict[str, NDArray[np.float32]]) -> Any:
-        """Convert n observations by key, m, rad, m/s and rad/s, shape (n, entries of the key), to this form."""
+        """Convert an `observation` by key, m, rad, m/s and rad/s, shape (n, entries of the key), to this form."""
 
 
 class PolicyController(Controller):
