@@ -143,8 +143,13 @@ def sensor_innovation_variance(machine: Machine, period: float, bandwidth: float
         bandwidth: Bandwidth of the observer, rad/s.
     """
     # Position gain K of a critically damped observer: twice the bandwidth times the sampling period.
-    gains = 2.0 * sensor_bandwidths(machine, bandwidth) * period
+    gains = 2.0 * _observer_rates(machine, period, bandwidth)
     return np.asarray(1.0 / (1.0 - np.minimum(gains, 0.9)))
+
+
+def _observer_rates(machine: Machine, period: float, bandwidth: float) -> Array:
+    """Return the bandwidth of the observer of each sensor times the period, at most as in `LONGEST_OBSERVER_PERIOD`."""
+    return sensor_bandwidths(machine, bandwidth) * min(period, LONGEST_OBSERVER_PERIOD)
 
 
 def _log_variance_with_voltage_errors(data: Dataset, bandwidth: float) -> float:
@@ -191,7 +196,7 @@ def observer_gains(machine: Machine, period: float, bandwidth: float = SEARCH_BA
     """
     count = len(machine.coordinates)
     gains = np.zeros((2 * count, len(machine.sensors)))
-    rates = sensor_bandwidths(machine, bandwidth) * min(period, LONGEST_OBSERVER_PERIOD)  # rad per sample
+    rates = _observer_rates(machine, period, bandwidth)  # rad per sample
     for j, (sensor, rate) in enumerate(zip(machine.sensors, rates, strict=True)):
         if rate == 0.0:
             continue

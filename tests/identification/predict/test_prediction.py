@@ -20,6 +20,7 @@ from hframe_gym.identification.predict.prediction import (
     predict,
     prediction_error,
     residuals,
+    sensor_innovation_variance,
 )
 from hframe_gym.machine import BUILTIN_MACHINES, Machine, rest_state
 from hframe_gym.preparation.dataset import PreparedRecording
@@ -49,6 +50,14 @@ def test_observer_is_critically_damped(axis: Machine) -> None:
         np.eye(2) - [[position_gain, 0.0], [velocity_gain, 0.0]]
     )
     np.testing.assert_allclose(np.abs(np.linalg.eigvals(transition)), 0.94, atol=0.02)
+
+
+@pytest.mark.parametrize("period", [1e-3, 5e-3, 10e-3])
+def test_innovations_have_the_variance_of_the_gains_that_the_observer_has(axis: Machine, period: float) -> None:
+    """In slow logs, the gains are limited. At 100 Hz, an exact machine had seemed to leave a quarter of the noise."""
+    position_gain = observer_gains(axis, period)[0, 0]
+    variance = sensor_innovation_variance(axis, period, SEARCH_BANDWIDTH)
+    np.testing.assert_allclose(variance, 1.0 / (1.0 - position_gain))
 
 
 @pytest.mark.parametrize("name", ["belt-axis", "corexy"])
