@@ -8,7 +8,8 @@ for a smaller back-EMF: 117 us in steps of 1 ms change that of a stage by 2 %, w
 runs of another controller.
 
 The voltage of a row also answers the jitter of that row. Interpolation spreads this answer over the rows beside, while
-the controller took it back one of its periods later: it is removed before voltages are interpolated.
+the controller took it back one of its periods later: it is removed before voltages are interpolated, and acts from the
+row until the voltage changes.
 
 The log contains all that is needed: the jitter in its stamps, the speeds, and the answer, volts per angle or length, in
 the voltages of its rows, which vary with stamp times speed.
@@ -24,6 +25,7 @@ from scipy.signal import savgol_filter
 
 from ..arrays import Array
 from ..robust_statistics import std_by_median
+from .interpolated_voltages import Interpolation, updated_inputs
 
 _DIFFERENCES = 3  # order; a motion hardly has third differences from row to row, jitter has the largest
 _VARIANCE_OF_DIFFERENCES = 20.0  # of third differences of independent values over their own: 1 + 9 + 9 + 1
@@ -92,11 +94,38 @@ def clock_voltages(time_s: Array, inputs: Array, outputs: Array) -> ClockVoltage
     return found
 
 
+def updated_inputs_of_clock(
+    time_s: Array,
+    inputs: Array,
+    clock: ClockVoltages | None,
+    updates: int,
+    interpolation: Interpolation = "akima",
+) -> Array:
+    """Return interpolated inputs at the times at which a controller changes them, whose clock may jitter.
+
+    Args:
+        time_s: Times of the rows, s, shape (n,).
+        inputs: Inputs in the rows, V, shape (..., n, drives).
+        clock: What the jitter does to them; None: nothing.
+        updates: Changes of the inputs from one row to the next.
+        interpolation: How the inputs are interpolated.
+
+    Returns:
+        Inputs at `update_times`, V, shape (..., (n - 1) * `updates` + 1, drives).
+    """
+    if clock is None or updates == 1:
+        return updated_inputs(time_s, inputs, updates, interpolation)
+    rows = with_clock_voltages(inputs, clock, time_s, updates)
+    changing = updated_inputs(time_s, rows, updates, interpolation)
+    changing[..., ::updates, :] += clock.answers
+    return changing
+
+
 def with_clock_voltages(inputs: Array, voltages: ClockVoltages, time_s: Array, updates: int) -> Array:
     """Return voltages of rows that, interpolated between the rows, are those of a controller whose clock jitters.
 
-    They lack the answers to the jitter of the rows. Of n changes a row, each adds its impulse. Where the answers are
-    not known, interpolation by the stamps of the rows already contains 1 / n of one impulse.
+    They lack the answers to the jitter of the rows. Of n changes a row, each adds its impulse. With the answer of the
+    row, the times from its stamp to the next one already contain 1 / n of one impulse.
 
     Args:
         inputs: Voltages in the rows, V, shape (..., n, drives).
@@ -109,9 +138,7 @@ def with_clock_voltages(inputs: Array, voltages: ClockVoltages, time_s: Array, u
     """
     if updates == 1:
         return inputs
-    missing = updates - np.where(
-        voltages.answers.any(axis=0), 0.0, 1.0 / updates
-    )  # impulses a row, shape (drives,)
+    missing = updates - 1.0 / updates  # impulses from row to row
     means = voltages.impulses * (missing / float(np.median(np.diff(time_s))))
     return np.asarray(inputs - voltages.answers + means)
 

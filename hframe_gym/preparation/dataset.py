@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..machine import Machine
-from .clock_voltages import ClockVoltages, with_clock_voltages
+from .clock_voltages import ClockVoltages, updated_inputs_of_clock
 from .encoder_zeros import EncoderZeros
 from .initial_state import model_initial_states
-from .interpolated_voltages import Interpolation, mean_inputs, update_times, updated_inputs
+from .interpolated_voltages import Interpolation, mean_inputs, update_times
 from .rest_measurement import InitialState
 from .sensor_zeros import max_zero_means
 
@@ -200,9 +200,9 @@ class PreparedRecording:
 
     def _held(self, per_row: int, inputs: Array) -> HeldVoltages:
         """Return interpolated voltages with up to `updates` changes from row to row."""
-        if self.clock_voltages is not None:
-            inputs = with_clock_voltages(inputs, self.clock_voltages, self.time_s, self.updates)
-        changing = updated_inputs(self.time_s, inputs, self.updates, self.interpolation)
+        changing = updated_inputs_of_clock(
+            self.time_s, inputs, self.clock_voltages, self.updates, self.interpolation
+        )
         if per_row < self.updates:
             changing = mean_inputs(changing, self.updates, per_row)
         return HeldVoltages(update_times(self.time_s, per_row), changing, per_row)

@@ -6,7 +6,11 @@ import numpy as np
 import pytest
 
 from hframe_gym.arrays import Array
-from hframe_gym.preparation.clock_voltages import clock_voltages, with_clock_voltages
+from hframe_gym.preparation.clock_voltages import (
+    clock_voltages,
+    updated_inputs_of_clock,
+    with_clock_voltages,
+)
 from hframe_gym.preparation.interpolated_voltages import update_times, updated_inputs
 
 PERIOD, ROWS = 1e-3, 1500  # s, of the controller; rows of a log
@@ -42,9 +46,9 @@ def missing_back_emf(updates: int, *, corrected: bool) -> float:
 
     def of_log(seed: int) -> float:
         stamps, logged, angles, time_s, inputs, speed = controlled(updates, jitter=100e-6, seed=seed)
-        clock = clock_voltages(stamps, logged, angles)
-        rows = with_clock_voltages(logged, clock, stamps, updates) if corrected else logged
-        between = updated_inputs(stamps, rows, updates)[:-1, 0] * np.diff(update_times(stamps, updates))
+        clock = clock_voltages(stamps, logged, angles) if corrected else None
+        changing = updated_inputs_of_clock(stamps, logged, clock, updates)
+        between = changing[:-1, 0] * np.diff(update_times(stamps, updates))
         lacking = inputs[:-1, 0] * np.diff(time_s) - between
         return float(np.sum(lacking * speed[:-1]) / np.sum(speed[:-1] ** 2 * PERIOD))
 
@@ -88,6 +92,24 @@ def test_interpolated_voltages_lack_the_answers_to_the_jitter_of_the_rows() -> N
     smooth = 0.2 * speed[::4, None]
     assert (inputs - smooth).std() > 0.015  # V; noise and converter have 5 mV
     assert (rows - smooth).std() < 0.007
+
+
+@pytest.mark.parametrize(("updates", "most"), [(2, 0.8), (4, 0.9)])
+def test_the_voltage_of_a_row_acts_until_it_changes(updates: int, most: float) -> None:
+    """Interpolated voltages had lacked the answer of each row altogether."""
+    stamps, inputs, angles, time_s, complete, _ = controlled(updates, jitter=100e-6)
+    clock = clock_voltages(stamps, inputs, angles)
+    means = np.add.reduceat(complete[:-1, 0] * np.diff(time_s), np.arange(0, ROWS * updates, updates))
+    means /= np.diff(stamps)
+
+    def error(changing: Array) -> float:
+        return float(np.std(changing[:-1, 0].reshape(ROWS, updates).mean(axis=1) - means))
+
+    without = updated_inputs(stamps, with_clock_voltages(inputs, clock, stamps, updates), updates)
+    changing = updated_inputs_of_clock(stamps, inputs, clock, updates)
+    assert error(changing) < most * error(without)
+    first = changing[::updates] - without[::updates]
+    np.testing.assert_allclose(first, clock.answers, atol=1e-12)
 
 
 def test_a_clock_that_wanders_shows_no_answers_of_rows() -> None:

@@ -53,7 +53,9 @@ def test_observer_is_critically_damped(axis: Machine) -> None:
 
 
 @pytest.mark.parametrize("period", [1e-3, 5e-3, 10e-3])
-def test_innovations_have_the_variance_of_the_gains_that_the_observer_has(axis: Machine, period: float) -> None:
+def test_innovations_have_the_variance_of_the_gains_that_the_observer_has(
+    axis: Machine, period: float
+) -> None:
     """In slow logs, the gains are limited. At 100 Hz, an exact machine had seemed to leave a quarter of the noise."""
     position_gain = observer_gains(axis, period)[0, 0]
     variance = sensor_innovation_variance(axis, period, SEARCH_BANDWIDTH)
