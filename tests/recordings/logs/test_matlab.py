@@ -1,13 +1,17 @@
-"""MATLAB files and other HDF5 files are read: arrays, structures, cells, tables and timeseries."""
+"""MATLAB files and other HDF5 files are read: arrays, structures, cells, tables, timeseries and iddata."""
 
 from __future__ import annotations
 
 import importlib.util
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+from scipy import io
 
 from hframe_gym.errors import InputError
 from hframe_gym.machine import BUILTIN_MACHINES
@@ -103,6 +107,56 @@ def test_signals_of_a_simulink_data_set_are_columns(tmp_path: Path) -> None:
     np.testing.assert_array_equal(columns["Chirp.Data"], POSITION)
     np.testing.assert_array_equal(columns["angle.Data"], POSITION.astype(np.float32))
     np.testing.assert_array_equal(columns["motor.current.Data"], np.arange(COUNT))
+
+
+def test_each_experiment_of_iddata_is_a_log(tmp_path: Path) -> None:
+    """The System Identification Toolbox keeps names, units and sampling periods of each experiment in an object."""
+    data = _iddata([POSITION, POSITION[:30]], periods=[1e-3, 2e-3], names=["Exp1", "slow"])
+    io.savemat(tmp_path / "course.mat", {"data": data, "step": _iddata([POSITION], [5e-3], ["Exp1"])})
+    first, slow, step = open_logs(tmp_path / "course.mat")
+    assert [log.part for log in (first, slow, step)] == ["data_Exp1", "data_slow", "step"]
+    assert [column.header for column in slow.columns] == ["time [s]", "Voltage [V]", "Angle [deg]"]
+    for log, count, period in ((first, COUNT, 1e-3), (slow, 30, 2e-3), (step, COUNT, 5e-3)):
+        time, voltage, angle = log.read(log.columns)[0]
+        np.testing.assert_allclose(time, period * np.arange(count))
+        np.testing.assert_array_equal(voltage, 2.0 * POSITION[:count])
+        np.testing.assert_array_equal(angle, POSITION[:count])
+
+
+def test_iddata_beside_other_vectors_is_a_part_of_their_log(tmp_path: Path) -> None:
+    stored = _iddata([POSITION], [[]], ["Exp1"]) | {"SamplingInstants": _cell([TIME**1.1])}
+    io.savemat(tmp_path / "log.mat", {"U": TIME, "data": stored})
+    (log,) = open_logs(tmp_path / "log.mat")
+    headers = [column.header for column in log.columns]
+    assert headers == ["U", "data.time [s]", "data.Voltage [V]", "data.Angle [deg]"]
+    np.testing.assert_array_equal(log.read(log.columns)[0][1], TIME**1.1)
+
+
+def _cell(values: Sequence[Any]) -> NDArray[np.object_]:
+    """Return a cell array of MATLAB; arrays become columns."""
+    cell = np.empty((1, len(values)), dtype=object)
+    for k, value in enumerate(values):
+        cell[0, k] = value[:, None] if isinstance(value, np.ndarray) else value
+    return cell
+
+
+def _iddata(angles: Sequence[Any], periods: Sequence[Any], names: Sequence[str]) -> dict[str, Any]:
+    """Return the fields of an iddata object with a voltage of twice the angle in each experiment."""
+    return {
+        "Domain": "Time",
+        "OutputData": _cell(angles),
+        "OutputName": _cell(["Angle"]),
+        "OutputUnit": _cell(["deg"]),
+        "InputData": _cell([2.0 * angle for angle in angles]),
+        "InputName": _cell(["Voltage"]),
+        "InputUnit": _cell(["V"]),
+        "Ts": _cell(periods),
+        "Tstart": _cell([[] for _ in angles]),
+        "SamplingInstants": _cell([[] for _ in angles]),
+        "TimeUnit": "seconds",
+        "ExperimentName": _cell(names),
+        "Utility": {"last": np.arange(6.0)},
+    }
 
 
 def test_objects_need_an_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

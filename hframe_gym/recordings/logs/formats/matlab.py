@@ -1,5 +1,6 @@
 """MATLAB and HDF5 files; columns are their vectors and the columns of their matrices, also in structs.
 
+Each experiment in the iddata objects of the System Identification Toolbox is a log, if the file has nothing else.
 MATLAB files of version 7.3 are HDF5 files, which need h5py (extra `hdf5`); tables and timeseries need mat-io (extra
 `matlab`).
 """
@@ -10,6 +11,7 @@ import subprocess
 import sys
 import tempfile
 import zlib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -42,10 +44,10 @@ class MatlabLogs(LogFormat):
 
     @override
     def open(self, path: Path) -> list[Log]:
-        return [_open_mat(path)]
+        return _open_mat(path)
 
 
-def _open_mat(path: Path) -> Log:
+def _open_mat(path: Path) -> list[Log]:
     """Open a file whose vectors all are read at once."""
     with open(path, "rb") as file:
         start = file.read(_MATLAB_BLOCK + len(_HDF5))
@@ -56,16 +58,16 @@ def _open_mat(path: Path) -> Log:
     else:
         _refuse_large_variables(path)
     kind = "an HDF5 file" if is_hdf5 else "a MATLAB file"
-    vectors = _mat_vectors(path, kind)
-    if not vectors:
+    parts = _mat_vectors(path, kind)
+    if not parts:
         advice = "save plain arrays, a struct of arrays or, as version 7, timeseries: save('log.mat', 'u', 'x', '-v7')"
         require_extra(path, "tables, timetables and timeseries", "matlab", ["matio"], advice)
         raise InputError(f"{path}: has no arrays of numbers, tables or timeseries; {advice}")
-    return vector_log(path, vectors, kind)
+    return [replace(vector_log(path, vectors, kind), part=part) for part, vectors in parts.items()]
 
 
-def _mat_vectors(path: Path, kind: str) -> list[tuple[str, NDArray[np.float64]]]:
-    """Return the names and values of all vectors of a file, which a separate process reads.
+def _mat_vectors(path: Path, kind: str) -> dict[str, list[tuple[str, NDArray[np.float64]]]]:
+    """Return the names and values of all vectors of a file by part, "" for the whole; a separate process reads them.
 
     The readers can end the process on damaged files (segmentation fault), which no exception handler sees.
     """
@@ -85,7 +87,10 @@ def _mat_vectors(path: Path, kind: str) -> list[tuple[str, NDArray[np.float64]]]
             reason = run.stderr.strip().rpartition("\n")[2] if run.returncode > 0 else "it is damaged"
             raise InputError(f"{path}: cannot be read as {kind}: {reason}")
         with np.load(target, allow_pickle=False) as content:
-            return [(str(name), content[f"arr_{k}"]) for k, name in enumerate(content["names"])]
+            parts: dict[str, list[tuple[str, NDArray[np.float64]]]] = {}
+            for k, (part, name) in enumerate(zip(content["parts"], content["names"], strict=True)):
+                parts.setdefault(str(part), []).append((str(name), content[f"arr_{k}"]))
+            return parts
 
 
 def _refuse_large_variables(path: Path) -> None:

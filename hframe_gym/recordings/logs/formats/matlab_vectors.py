@@ -17,6 +17,15 @@ from numpy.typing import NDArray
 _DEEPEST = 32  # structures in structures
 # Names under which SciPy and HDF5 return what MATLAB's objects consist of.
 _OBJECTS = {"__function_workspace__", "#subsystem#"}
+# Fields of an iddata object of the System Identification Toolbox, and units of time by the names that it has for them.
+_IDDATA = {"Domain", "OutputData", "InputData", "OutputName", "InputName", "Ts", "SamplingInstants"}
+_TIME_UNITS = {
+    "milliseconds": "ms",
+    "microseconds": "us",
+    "nanoseconds": "ns",
+    "minutes": "min",
+    "hours": "h",
+}
 # Where files of version 7.3 keep the signals of a Simulink data set, and what their values are stored as.
 _STREAMS = "#sigstream#"
 _STREAM_TYPES = {"double": "f8", "single": "f4", "logical": "u1", "boolean": "u1"} | {
@@ -60,6 +69,66 @@ def _with_named_axis(structure: dict[str, Any]) -> dict[str, Any]:
         return structure
     name = axis.get("Name")
     return structure if isinstance(name, str) and name else {**structure, "X": {**axis, "Name": "time"}}
+
+
+def experiments(name: str, value: Any) -> Iterator[tuple[str, list[tuple[str, NDArray[np.float64]]]]]:
+    """Yield the experiments of an iddata object of the System Identification Toolbox, if the variable is one in time.
+
+    Args:
+        name: Name of the variable.
+        value: Its content as SciPy returns it: a dictionary of the object's fields.
+
+    Yields:
+        Name of the experiment ("data", or "data_Exp2" if the object has several), and headers with units and values of
+        its columns, shape (N,) each: the time, the inputs and the outputs.
+    """
+    if not isinstance(value, dict) or not value.keys() >= _IDDATA or value["Domain"] != "Time":
+        return
+    outputs, inputs = _experiment_list(value["OutputData"]), _experiment_list(value["InputData"])
+    names = _texts(value.get("ExperimentName"))
+    for number, output in enumerate(outputs):
+        time_unit = str(value.get("TimeUnit") or "seconds")
+        columns = [(f"time [{_TIME_UNITS.get(time_unit, 's')}]", _sample_times(value, number, len(output)))]
+        for kind, signals in (("Input", inputs[number : number + 1]), ("Output", [output])):
+            labels, units = _texts(value[f"{kind}Name"]), _texts(value.get(f"{kind}Unit"))
+            for k, column in enumerate(signals[0].T if signals else ()):
+                unit = _member(units, k)
+                label = _member(labels, k) or f"{kind}{k + 1}"
+                columns.append((f"{label} [{unit}]" if unit else label, column.astype(float)))
+        called = _member(names, number) or str(number + 1)
+        yield name if len(outputs) == 1 else f"{name}_{called}", columns
+
+
+def _experiment_list(values: Any) -> list[NDArray[Any]]:
+    """Return the signals of each experiment, shape (N, signals): an array for one, a cell array for several."""
+    several = isinstance(values, list) or (isinstance(values, np.ndarray) and values.dtype == object)
+    arrays = [np.asarray(member) for member in (values if several else [values])]
+    return [array.reshape(len(array), -1) for array in arrays if array.ndim and array.size]
+
+
+def _texts(value: Any) -> list[str]:
+    """Return the texts of a cell array, of which SciPy returns a single one without its cell."""
+    return [value] if isinstance(value, str) else [str(text) for text in np.ravel(value)]
+
+
+def _member(texts: list[str], index: int) -> str:
+    """Return a text of a list, or "" beyond its end."""
+    return texts[index] if index < len(texts) else ""
+
+
+def _sample_times(data: dict[str, Any], number: int, count: int) -> NDArray[np.float64]:
+    """Return the sample times of an experiment of iddata: those stored, or equal steps from its start."""
+    stored = _experiment_list(data["SamplingInstants"])
+    instants = np.ravel(stored[number]) if number < len(stored) else np.zeros(0)
+    if len(instants) == count:
+        return instants.astype(float)
+
+    def number_of(field: str, otherwise: float) -> float:
+        values = np.ravel(np.array(data.get(field), dtype=object)).tolist()
+        value = values[min(number, len(values) - 1)] if values else None
+        return float(value) if isinstance(value, (int, float)) and np.isfinite(value) else otherwise
+
+    return number_of("Tstart", 0.0) + number_of("Ts", 1.0) * np.arange(count)
 
 
 def objects(path: str) -> dict[str, Any]:
@@ -253,10 +322,20 @@ def main() -> None:
     except Exception as error:  # the readers raise many types for damaged files
         print(" ".join(str(error).split()), file=sys.stderr)
         sys.exit(2)
-    pairs = [
-        pair for key, value in content.items() if not key.startswith("__") for pair in vectors(key, value)
-    ]
-    np.savez(target, *[vector for _, vector in pairs], names=np.array([name for name, _ in pairs], dtype=str))
+    variables = {key: value for key, value in content.items() if not key.startswith("__")}
+    logs = [log for key, value in variables.items() for log in experiments(key, value)]
+    named = {key for key, value in variables.items() if next(experiments(key, value), None)}
+    pairs = [pair for key, value in variables.items() if key not in named for pair in vectors(key, value)]
+    if pairs:  # one log, with the experiments beside the other vectors
+        pairs += [(f"{part}.{name}", vector) for part, columns in logs for name, vector in columns]
+        logs = [("", pairs)]
+    entries = [(part, name, vector) for part, columns in logs for name, vector in columns]
+    np.savez(
+        target,
+        *[vector for _, _, vector in entries],
+        names=np.array([name for _, name, _ in entries], dtype=str),
+        parts=np.array([part for part, _, _ in entries], dtype=str),
+    )
 
 
 if __name__ == "__main__":
