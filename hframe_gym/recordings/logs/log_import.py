@@ -19,6 +19,7 @@ from ...errors import InputError, name_runs
 from ...files import output_batch, output_folder, read_document, read_json
 from ...line_log import LineLog
 from ...machine import Machine
+from ...operating_system import quoted
 from ..cleaning import missing_rows, usual_step
 from ..recording import Recording, run_name, write_recording
 from ..tables.table_file import SUFFIXES
@@ -231,6 +232,7 @@ class _Importer:
         self._one_of_many = one_of_many  # whether other logs are left if one is empty
         self._converter = LogConverter(machine)
         self._last_mapping: list[str] = []
+        self._numbered: dict[str, tuple[str, str]] = {}  # log and header that a "#2" of the user first was
         self._names: list[str] = []  # of the logs, before they are cut
         self._bytes_per_row = 0.0
 
@@ -242,6 +244,7 @@ class _Importer:
 
     def _runs_of(self, log: Log, size: float) -> list[Recording]:
         """Convert a log, which takes a size in bytes of its file, and return its runs."""
+        self._refuse_other_order(log)
         sources = map_columns(log, self._machine, self._settings.mapping)
         self._log_mapping(log, sources)
         try:
@@ -255,6 +258,23 @@ class _Importer:
         for remark in remarks:
             self._log(f"  {remark}")
         return [run for recording in recordings for run in self._cut(recording)]
+
+    def _refuse_other_order(self, log: Log) -> None:
+        """Refuse a log in which a number of the user is another column than in the logs before, by its name."""
+        headers = [column.header for column in log.columns]
+        for channel, reference in self._settings.mapping.columns.items():
+            for number in re.findall(r"#\d+", reference):
+                if not 1 <= int(number[1:]) <= len(headers):
+                    continue
+                header = headers[int(number[1:]) - 1]
+                first, before = self._numbered.setdefault(number, (log.title, header))
+                if header != before and before in headers:
+                    option = f"--map {quoted(f'{channel}={reference}')}"
+                    here = f"column {number[1:]} is {header!r}, and in {first} it is {before!r}"
+                    place = f"which is column {headers.index(before) + 1} here"
+                    raise InputError(
+                        f"{log.place}: {option}: {here}, {place}: name the columns in place of their numbers"
+                    )
 
     def _cut(self, recording: Recording) -> list[Recording]:
         """Return the runs into which a recording is cut, and report its duration."""

@@ -481,9 +481,12 @@ class _LogMapping:
         return ""
 
     def _explained_obstacle(self, channels: Sequence[str], unused: Sequence[LogColumn]) -> str:
-        """Explain for the first channel without a proposal why the first column of a known quantity cannot be it."""
+        """Explain for the first channel without a proposal why the first column of a known quantity cannot be it.
+
+        A second clock needs no explanation.
+        """
         for channel in channels:
-            for column in unused:
+            for column in (column for column in unused if column.meaning.quantity != "time"):
                 problem = self._obstacle(channel, column)
                 if problem:
                     return f". {column.header} is {problem}"

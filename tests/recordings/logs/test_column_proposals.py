@@ -5,8 +5,10 @@ from pathlib import Path
 
 import pytest
 
+from hframe_gym.errors import InputError
 from hframe_gym.machine import BUILTIN_MACHINES
-from hframe_gym.recordings.logs import open_logs, propose_columns
+from hframe_gym.recordings.logs import MappingOptions, open_logs, propose_columns
+from hframe_gym.recordings.logs.log_mapping import map_columns
 from hframe_gym.recordings.logs.measurement_units import wrong_unit_message
 
 
@@ -26,6 +28,17 @@ def test_the_voltage_of_a_sensor_is_not_proposed_as_a_command(
     (tmp_path / "log.csv").write_text(f"time,{header},level\n{rows}\n")
     (log,) = open_logs(tmp_path / "log.csv")
     assert propose_columns(log, BUILTIN_MACHINES["motor"]()).proposed.get("v_V") == proposed
+
+
+def test_set_points_without_a_quantity_are_proposed_for_a_drive_that_follows_them(tmp_path: Path) -> None:
+    """A second clock in the log is no reason why a command cannot be mapped."""
+    rows = "\n".join(f"{k * 2e-3:g},{k * 4e-3:g},{k % 7},{k % 5},{k % 3}" for k in range(40))
+    (tmp_path / "log.csv").write_text(f"timestamp,real_time,FR_1_target,FR_1_actual,FR_1_error\n{rows}\n")
+    (log,) = open_logs(tmp_path / "log.csv")
+    with pytest.raises(InputError, match="--map command_rad=FR_1_target --map horn_rad=") as refused:
+        map_columns(log, BUILTIN_MACHINES["servo"](), MappingOptions())
+    assert "real_time is" not in str(refused.value)
+    assert "command_rad" not in propose_columns(log, BUILTIN_MACHINES["motor"]()).proposed
 
 
 @pytest.mark.parametrize(

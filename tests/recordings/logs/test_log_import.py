@@ -232,6 +232,25 @@ def test_columns_of_any_name_and_unit_are_imported(
     assert said in squeezed(lines)
 
 
+def test_numbered_columns_must_be_the_same_in_all_logs(tmp_path: Path) -> None:
+    """The names of two logs say that a number stands for another column in the second."""
+    motor = BUILTIN_MACHINES["motor"]()
+    (tmp_path / "logs").mkdir()
+    rows = "\n".join(f"{k * 1e-3:g},{k % 7},{0.01 * k:g}" for k in range(40))
+    columns = {"v_V": "#2", "shaft_rad": "#3"}
+    for second in ("time,uL,angle", "time,angle,u"):
+        for name, header in (("a", "time,u,angle"), ("b", second)):
+            (tmp_path / "logs" / f"{name}.csv").write_text(f"{header}\n{rows}\n")
+        settings = ImportSettings(MappingOptions(columns))
+        if second == "time,uL,angle":
+            import_logs(tmp_path / "logs", tmp_path / "runs", motor, settings, lambda line: None)
+            continue
+        with pytest.raises(
+            InputError, match=r"column 2 is 'angle', and in a.csv it is 'u', which is column 3"
+        ):
+            import_logs(tmp_path / "logs", tmp_path / "others", motor, settings, lambda line: None)
+
+
 def test_angles_in_degrees_are_converted(table: Table, hframe: Machine, tmp_path: Path) -> None:
     degrees = {c: (np.degrees(v) if c.startswith("phi") else v) for c, v in table.items()}
     path = in_text(text_of)(tmp_path, degrees)
