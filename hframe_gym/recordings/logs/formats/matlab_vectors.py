@@ -121,14 +121,14 @@ def _sample_times(data: dict[str, Any], number: int, count: int) -> NDArray[np.f
     stored = _experiment_list(data["SamplingInstants"])
     instants = np.ravel(stored[number]) if number < len(stored) else np.zeros(0)
     if len(instants) == count:
-        return instants.astype(float)
+        return instants.astype(np.float64)
 
     def number_of(field: str, otherwise: float) -> float:
         values = np.ravel(np.array(data.get(field), dtype=object)).tolist()
         value = values[min(number, len(values) - 1)] if values else None
         return float(value) if isinstance(value, (int, float)) and np.isfinite(value) else otherwise
 
-    return number_of("Tstart", 0.0) + number_of("Ts", 1.0) * np.arange(count)
+    return number_of("Tstart", 0.0) + number_of("Ts", 1.0) * np.arange(count, dtype=np.float64)
 
 
 def objects(path: str) -> dict[str, Any]:
