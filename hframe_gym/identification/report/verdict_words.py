@@ -60,10 +60,13 @@ def unknown_voltages(report: Report) -> list[str]:
     for channel, error in positions.items():
         kind = channel.rpartition("_")[2]
         largest[kind] = max(largest.get(kind, (0.0, "")), (error, channel))
-    sizes = []
+    sizes, refuted = [], []
     for error, channel in largest.values():
         factor, unit = readable_unit(channel, error)
         sizes.append(f"{number(factor * error)} {unit} at {channel}")
+        delivered = report.machines["after"].channels.get(channel)
+        if delivered and delivered.rmse is not None and delivered.rmse < error:
+            refuted.append(f"{number(factor * delivered.rmse)} {unit} at {channel}")
     period = f"{1e3 * unknown.period_s:.3g} ms"
     by_instruments = unknown.fitted_by == "instruments"
     commands = unknown.commands
@@ -73,8 +76,15 @@ def unknown_voltages(report: Report) -> list[str]:
     return [
         f"The controller changes the {commands} about {unknown.changes_per_row} times between two rows of this log "
         f"(every {period}), and the log does not contain these {commands}.",
-        f"A simulation of the held-out runs therefore errs by {' and '.join(sizes)} (rms), whatever the machine: what "
-        "changes the motion by less cannot be found.",
+        "In a simulation of the held-out runs, even the exact machine is therefore expected to err by "
+        f"{' and '.join(sizes)} (rms): what changes the motion by less cannot be found.",
+        *(
+            [
+                f"The machine that is delivered leaves only {' and '.join(refuted)}: this estimate is too large."
+            ]
+            if refuted
+            else []
+        ),
         *([_BY_INSTRUMENTS.format(commands)] if by_instruments else []),
         f"To find more, {advice}.",
     ]

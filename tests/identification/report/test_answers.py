@@ -334,7 +334,13 @@ def test_a_slow_log_is_named_first() -> None:
     assert sentence.startswith(
         "The controller changes the voltages about 5 times between two rows of this log (every 1 ms)"
     )
-    assert "errs by 30 µm at x_m and 2 mrad at phi1_rad (rms)" in sentence
+    assert (
+        "even the exact machine is therefore expected to err by 30 µm at x_m and 2 mrad at phi1_rad"
+        in sentence
+    )
+    assert "estimate is too large" not in sentence
+    too_large = sentence_about(unknown | {"errors": {"x_m": 2e-3}})
+    assert "The machine that is delivered leaves only 1 mm at x_m: this estimate is too large." in too_large
     assert "log every row of the controller" in sentence
     assert "two rows" not in sentence_about(None)
     assert "describe the drives by their set point" in sentence
