@@ -104,8 +104,13 @@ def _overvoltage(recordings: Sequence[Recording], machine: Machine) -> list[Find
         if largest > _OVERVOLTAGE * drive.rated_voltage:
             unit = channel_unit(drive.channel, machine)
             rated = f"rated {drive.rated_voltage:.4g} {unit}"
+            kind = DRIVE_KINDS.get(drive.kind)
             doubt = "is the column in another unit or in %?"
-            if DRIVE_KINDS.get(drive.kind).fraction:  # no duty cycle exceeds 1
+            if kind.command in ("position", "speed"):
+                doubt = (
+                    f"is the column in another unit, or rated_{kind.command} of the machine file too small?"
+                )
+            if kind.fraction:  # no duty cycle exceeds 1
                 doubt = "is the supply in another unit, or the rated voltage of the machine file too small?"
             message = f"reaches {largest:.4g} {unit}, {rated}: {doubt}"
             findings.append(Finding("advice", "", drive.channel, message))

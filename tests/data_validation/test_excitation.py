@@ -93,6 +93,15 @@ def test_a_current_is_reported_in_ampere() -> None:
     assert any(f.message.startswith("reaches 40 A, rated 12 A") for f in findings)
 
 
+def test_a_set_point_beyond_the_rated_one_may_show_a_rated_one_that_is_too_small() -> None:
+    servo = BUILTIN_MACHINES["servo"]()  # rated 1.57 rad
+    time = np.arange(1000) * 1e-2
+    inputs = np.where(time > 1.0, 1.4 + 1.4 * np.sign(np.sin(2.0 * time)), 0.0)[:, None]
+    recording = Recording("r", time, inputs, servo.simulate(time, inputs).outputs)
+    (text,) = [f.message for f in check_recordings([recording], servo) if f.message.startswith("reaches 2.8")]
+    assert text.endswith("is the column in another unit, or rated_position of the machine file too small?")
+
+
 def test_motion_in_one_direction_is_advice(hframe: Machine) -> None:
     time = np.arange(1000) * 1e-3
     inputs = np.full((1000, 2), -3.0)

@@ -226,7 +226,7 @@ def _with_terms(
         if not goes_on():
             break
         trial = _fit_with_term(other, fits[-1], term, equal)
-        if trial.cost < fits[-1].cost and not _ends_at_limit(trial, term):
+        if trial.cost < fits[-1].cost and _is_present(trial, term.label) and not _ends_at_limit(trial, term):
             fits.append(trial)
     candidates = {term.label for term in terms}
     known = {_labels(fitted, candidates): fitted for fitted in fits}
@@ -266,8 +266,16 @@ def _removal(
         kept = [k for k, p in enumerate(fitted.free) if not p.name.startswith(f"{label}.")]
         free = tuple(fitted.free[k] for k in kept)
         known[others] = fit(machine, free, equal, SIMULATION, theta=fitted.theta[kept])
+    if not _is_present(fitted, label):  # a term beside it took all of it: it is the first to go
+        return _Removal(known[others], 0.0, LongRunVariance(1.0))
     gain = known[others].cost - fitted.cost
     return _Removal(known[others], gain, long_run_variance(fitted, label, equal))
+
+
+def _is_present(fitted: Fit, label: str) -> bool:
+    """Return whether a term has parameters that act: with a size of zero, it gains the rounding of the cost at most."""
+    acting = {parameter.name for parameter in wide_parameters(fitted.machine)}
+    return any(p.name in acting for p in fitted.free if p.name.startswith(f"{label}."))
 
 
 def _ends_at_limit(fitted: Fit, term: AppliedEffect) -> bool:

@@ -17,7 +17,7 @@ from hframe_gym.effects import EFFECTS
 from hframe_gym.errors import InputError
 from hframe_gym.identification import SelectionCriteria, identify, prepare
 from hframe_gym.identification.budget import Budget
-from hframe_gym.identification.fit.estimation import prediction_cost
+from hframe_gym.identification.fit.estimation import Fit, prediction_cost
 from hframe_gym.identification.fit.plain_fit import (
     PlainFit,
     better_start,
@@ -35,7 +35,8 @@ from hframe_gym.identification.validate.simpler_machines import (
     descriptions,
     start_of_description,
 )
-from hframe_gym.machine import BUILTIN_MACHINES, Machine, Sensor
+from hframe_gym.machine import BUILTIN_MACHINES, AppliedEffect, Machine, Sensor
+from hframe_gym.preparation.dataset import Dataset
 from hframe_gym.recordings import Recording
 
 NOISE = 1e-5  # m
@@ -100,6 +101,35 @@ def test_a_constant_force_is_a_term_of_the_plain_fit() -> None:
     assert plain is not None
     assert plain.terms == ("constant_force@x",)
     assert plain.machine.parameters["constant_force@x.size"] == pytest.approx(1.5, rel=0.05)
+
+
+def test_a_term_of_size_zero_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rounding alone may make the cost with it smaller; its parameters do not act, and the next fit leaves them out."""
+    module = importlib.import_module(plain_fit.__module__)
+    fit_with_term = module._fit_with_term
+
+    def with_nothing(start: Machine, fitted: Fit, term: AppliedEffect, equal: Dataset) -> Fit:
+        if term.name != "constant_force":
+            return cast("Fit", fit_with_term(start, fitted, term, equal))
+        absent = dataclasses.replace(term, parameters={"size": 0.0})
+        free = (*fitted.free, *module._term_parameters(absent, fitted.machine))
+        return dataclasses.replace(
+            fitted,
+            machine=fitted.machine.with_effects(absent),
+            free=free,
+            theta=np.append(fitted.theta, 0.0),
+            cost=np.nextafter(fitted.cost, 0.0),
+        )
+
+    monkeypatch.setattr(module, "_fit_with_term", with_nothing)
+    offset = EFFECTS["constant_force"].at("x", size=0.0)
+    monkeypatch.setattr(module, "starting_values", lambda machine, data: [(machine, (offset,))])
+    runs = measure(axis(TRUE), runs=2, seconds=2.0)
+    early = [np.concatenate([run.inputs[25:], run.inputs[-1:].repeat(25, axis=0)]) for run in runs]
+    late = [dataclasses.replace(run, inputs=inputs) for run, inputs in zip(runs, early, strict=True)]
+    plain = plain_fit(axis(TRUE), prepare(late, axis(TRUE)))
+    assert plain is not None
+    assert plain.terms == ("input_delay@drives",)
 
 
 def test_a_constant_force_is_a_term_where_the_drive_follows_a_set_point_as_well() -> None:
