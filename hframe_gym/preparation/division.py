@@ -27,7 +27,6 @@ def divide_runs(recordings: Sequence[Recording], chosen: Sequence[str] = ()) -> 
     """Check that the runs of a session can be fitted, and choose those that are held out.
 
     Args:
-        recordings: All runs.
         chosen: Names of the runs to hold out. Default: one of each group of four similar runs, see `hold_out`.
 
     Returns:
@@ -122,7 +121,6 @@ def hold_out(recordings: Sequence[Recording], chosen: Sequence[str] = ()) -> tup
     them says nothing about the machine.
 
     Args:
-        recordings: All runs.
         chosen: Names of the runs to hold out. Default: one of each group of four; one if there are fewer than four.
 
     Returns:
@@ -232,9 +230,6 @@ def moving_runs(recordings: Sequence[Recording]) -> tuple[str, ...]:
 
     A span is the difference between the 99th and the 1st percentile of the measurements, so that single wrong samples
     and the first steps of a motor that hardly turns do not count.
-
-    Args:
-        recordings: All runs.
 
     Returns:
         Names of the runs in which at least one sensor moves.

@@ -50,7 +50,6 @@ def representative_part(
     rests.
 
     Args:
-        data: Runs to fit.
         machine: Machine as declared.
         size: Largest number of rows times coordinates, dimensionless, for rows that are 1 ms apart; fewer if they are
             further apart.

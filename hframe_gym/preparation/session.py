@@ -68,7 +68,6 @@ def prepare_session(
         recordings: Runs as logged.
         machine: Machine as declared.
         criteria: Thresholds by which a sensor at the end of its range is recognized.
-        log: Called with a line of text.
     """
     recordings, machine, statements = without_unmeasured_positions(recordings, machine)
     for statement in statements:

@@ -114,7 +114,6 @@ def close_rivals(
     Args:
         trials: Fits with one candidate effect each; the first has the selected effect.
         current: Fit without a candidate, with the same observer bandwidth (rad/s) as the trials.
-        data: Runs that were fitted.
         criteria: Decision thresholds of `judge.rival.may_be_the_cause`.
 
     Returns:
@@ -259,8 +258,6 @@ def most_likely_fit(fitted: Fit, data: Dataset, largest_loss: float = math.inf) 
     The longer integration step of the search is too inaccurate to distinguish a delay of 0.1 ms from a lag.
 
     Args:
-        fitted: Fit of any machine.
-        data: Runs that were fitted.
         largest_loss: Loss, -2 log(likelihood) per measured value, dimensionless; a fit that cannot come down to it ends
             early.
     """

@@ -99,7 +99,6 @@ def doubt_about_candidate(
         current: Fit of the machine without the effect.
         trial: Fit of the machine with the effect. Both fits have the same observer bandwidth (the observer corrects
             predictions by the measurements).
-        criteria: Decision thresholds.
         effect: The effect. Default: the last one of the machine.
 
     Returns:

@@ -60,7 +60,6 @@ def cost_beside_voltages(fitted: Fit, data: Dataset) -> float:
     """Return the cost, prior included, that a fit leaves if the unknown voltages explain as much of it as they can.
 
     Args:
-        fitted: Fit of a machine.
         data: Runs that were fitted, whose voltages change between the rows.
 
     Returns:

@@ -82,7 +82,6 @@ def with_uncertainty(
 
     Args:
         fitted: Fit of k parameters: machine, parameter values and cost.
-        data: Runs that were fitted.
         indicated_delay: Whether d counts. It does not where the question is whether inputs act later than recorded.
         deviations: Deviations of theta in m other fits, which should agree (`slow_logs.deviations_of_fits`), shape
             (m, k). Default: none.

@@ -32,8 +32,6 @@ def equations_of_pieces(fitted: Fit, data: Dataset, pieces: int) -> list[NormalE
     """Return the normal equations of each piece of the runs around a fit.
 
     Args:
-        fitted: Fit of a machine.
-        data: Runs that were fitted.
         pieces: Number of pieces into which each run is divided; 1 for complete runs.
     """
     model = ResidualModel(fitted.machine, fitted.free, data, fitted.bandwidth, fitted.longest_step)
@@ -155,7 +153,6 @@ def leave_one_out_gain(without: Fit, with_effect: Fit, data: Dataset) -> float:
     Args:
         without: Fit without the effect.
         with_effect: Fit with the effect, at the same observer bandwidth (of the feedback of measurements).
-        data: Runs that were fitted.
 
     Returns:
         Reduction of the cost, dimensionless, summed over all runs. It is usually smaller than the reduction on the
@@ -182,7 +179,6 @@ def refitted_leave_one_out_gain(
     Args:
         without: Fit without the effect.
         with_effect: Fit with the effect, at the same observer bandwidth (of the feedback of measurements).
-        data: Runs that were fitted.
         least: Reduction, dimensionless, that confirms the effect. Default: the reduction is asked for, whatever it is.
 
     Returns:
@@ -258,7 +254,6 @@ def contradicting_run(fitted: Fit, data: Dataset) -> str | None:
 
     Args:
         fitted: Fitted machine with its observer bandwidth.
-        data: Runs that were fitted.
 
     Returns:
         Name of the run; None if there is none (`judge.run.contradicting_run`).

@@ -31,7 +31,6 @@ def long_run_variance(fitted: Fit, label: str, data: Dataset) -> LongRunVariance
     Args:
         fitted: Fit with the effect, at any observer bandwidth.
         label: Label (name@site) of the effect, of which at least one parameter is free.
-        data: Runs that were fitted.
 
     Returns:
         The largest factor for the three kinds of blocks and all combinations of the effect's parameters, with the

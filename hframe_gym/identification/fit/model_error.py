@@ -39,7 +39,6 @@ def search_step(bandwidth: float, data: Dataset) -> float:
 
     Args:
         bandwidth: Bandwidth of the observer that corrects predictions by the measurements, rad/s; 0 for a simulation.
-        data: Runs to predict.
 
     Returns:
         Maximum integration step, s: 0.5 ms at 60 rad/s; 0.25 ms below, where integration errors accumulate. With an
@@ -66,7 +65,6 @@ def has_narrowest_observer(fitted: Fit, data: Dataset) -> bool:
 
     Args:
         fitted: Fit at one of the bandwidths of `bandwidths_for`.
-        data: Runs that were fitted.
     """
     return fitted.bandwidth <= bandwidths_for(data)[-1]
 
@@ -81,7 +79,6 @@ def likelihood_loss(fitted: Fit, data: Dataset) -> float:
 
     Args:
         fitted: Fit at any observer bandwidth.
-        data: Runs that were fitted.
 
     Returns:
         Loss, dimensionless; 1 for an exact model in simulation with white noise of the assumed size. The difference of
@@ -100,7 +97,6 @@ def cost_of_loss(loss: float, machine: Machine, data: Dataset, bandwidth: float)
     Args:
         loss: Loss (`likelihood_loss`), dimensionless.
         machine: Fitted machine.
-        data: Runs that were fitted.
         bandwidth: Bandwidth of the observer, rad/s; 0 for a simulation.
 
     Returns:
@@ -115,7 +111,6 @@ def narrower_observer(fitted: Fit, data: Dataset) -> Fit:
 
     Args:
         fitted: Fit at one of the bandwidths 60, 30, 15, 7 and 3 rad/s (`BANDWIDTHS`).
-        data: Runs that were fitted.
 
     Returns:
         Fit at the next bandwidth; after 3 rad/s, in a simulation.
@@ -132,7 +127,6 @@ def likelihood_deficit(fitted: Fit, reference: Fit, data: Dataset) -> float:
     Args:
         fitted: Fit at any observer bandwidth.
         reference: Fit of the same machine at another observer bandwidth (of the feedback of measurements).
-        data: Runs that were fitted.
 
     Returns:
         Reduction of chi-squared per sample, dimensionless; 0 if the fit is at least as likely.
@@ -150,7 +144,6 @@ def fit_with_model_error(fitted: Fit, data: Dataset) -> Fit:
 
     Args:
         fitted: Fit (machine, parameters, cost) at 60, 30, 15, 7, 3 or 0 rad/s (`BANDWIDTHS`; 0: simulation).
-        data: Runs that were fitted.
 
     Returns:
         Most likely fit.
@@ -183,7 +176,6 @@ def polish(fitted: Fit, data: Dataset, *, goal: float = math.inf) -> Fit:
 
     Args:
         fitted: Fit to refine; its parameters are the starting values.
-        data: Runs that were fitted.
         goal: Cost, dimensionless, above which the fit is of no use (`fit`).
     """
     model, accurate = (fitted.machine, fitted.free, data, fitted.bandwidth), CONVERGED_COST / data.count
@@ -200,7 +192,6 @@ def refined_in_simulation(fitted: Fit, data: Dataset) -> Fit:
 
     Args:
         fitted: Final fit at any observer bandwidth.
-        data: Runs that were fitted.
 
     Returns:
         Fit of the same parameters with the smallest product, polished. `fitted` itself if no fit is better, if it is a

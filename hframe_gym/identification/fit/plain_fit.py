@@ -159,7 +159,6 @@ def plain_fit(machine: Machine, data: Dataset, budget: Budget | None = None) -> 
 
     Args:
         machine: Machine as declared.
-        data: Runs to fit.
         budget: Budget of the identification. After the part of it for the plain fit, the fit ends with its best
             parameters so far. Default: it is completed.
 
@@ -350,9 +349,6 @@ def _finite_cost(fitted: Fit) -> float:
 def equally_weighted(data: Dataset) -> Dataset:
     """Copy a data set so that all measurements of a sensor have the same weight and noise.
 
-    Args:
-        data: Runs to fit.
-
     Returns:
         Copy in which the cost of a simulation is the sum of its squared errors, in units of each sensor's noise, as in
         an evaluation.
@@ -373,7 +369,6 @@ def refined_equally(fitted: Fit, data: Dataset) -> Fit:
 
     Args:
         fitted: Fit with any observer and any effects.
-        data: Runs to fit.
 
     Returns:
         Fit of the same parameters; `fitted` itself if it has the smaller error.
@@ -464,7 +459,6 @@ def starting_values(machine: Machine, data: Dataset) -> list[tuple[Machine, tupl
 
     Args:
         machine: Machine as declared.
-        data: Runs.
 
     Returns:
         Machines with these values in place of the declared ones, and for each the constant forces of its balance; none
@@ -615,7 +609,6 @@ def better_start(machine: Machine, data: Dataset, plain: PlainFit | None) -> Mac
 
     Args:
         machine: Machine as declared.
-        data: Runs to fit.
         plain: Plain fit to these runs, if there is one.
 
     Returns:

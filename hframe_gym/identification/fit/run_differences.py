@@ -323,7 +323,6 @@ class _ModelByRun:
 
     Args:
         fitted: Machine from which the fits start, with its free parameters.
-        data: The runs.
 
     Attributes:
         free: The K parameters.

@@ -39,7 +39,6 @@ def fit_run_by_run(fitted: Fit, data: Dataset) -> Fit:
 
     Args:
         fitted: Final fit at any observer bandwidth.
-        data: Runs that were fitted.
 
     Returns:
         Fit of the same parameters. Its `observers` are those of the runs; its cost is that at the bandwidth of

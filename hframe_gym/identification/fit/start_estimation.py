@@ -173,7 +173,6 @@ def with_probable_starts(current: Fit, data: Dataset, criteria: SelectionCriteri
 
     Args:
         current: Fit of a machine.
-        data: Runs that were fitted.
         criteria: Decision thresholds of `judge.error.required_gain`.
 
     Returns:

@@ -98,8 +98,6 @@ def other_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> Vo
 
     Args:
         fitted: Fit of a machine with effects to the runs.
-        data: Runs (times, voltages, measurements, SI).
-        criteria: Decision thresholds.
 
     Returns:
         The number of changes if it is clearly another one than the predictions assume, else None. An earlier search
@@ -151,7 +149,6 @@ def count_updates(fitted: Fit, data: Dataset, excess: ExcessDelay | None = None)
     changes.
 
     Args:
-        fitted: Fit of a machine to the runs.
         data: Runs with a first number of changes, at least 2.
         excess: What instruments find with that number, if it is known already.
 
@@ -188,8 +185,6 @@ def _number_without_excess(fitted: Fit, data: Dataset, number: int, excess: Exce
     until the sign changes, and the numbers between are bisected.
 
     Args:
-        fitted: Fit of a machine to the runs.
-        data: Runs.
         number: Number of changes that is clearly wrong.
         excess: What instruments find with it.
 
@@ -228,8 +223,6 @@ def voltage_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> 
 
     Args:
         fitted: Fit of a machine to the runs as they are.
-        data: Runs (times, voltages, measurements, SI).
-        criteria: Decision thresholds.
 
     Returns:
         The number of changes, and what it leaves of the error beside what held voltages leave.
@@ -253,7 +246,6 @@ def _change(held: Fit, changing: Fit, data: Dataset, criteria: SelectionCriteria
         held: Fit with voltages that are held from row to row.
         changing: Fit with voltages that change between the rows.
         data: Runs with the changing voltages, without their errors.
-        criteria: Decision thresholds.
     """
     before, after = (
         prediction_costs(fitted.machine, runs, SEARCH_BANDWIDTH)
@@ -266,11 +258,7 @@ def _change(held: Fit, changing: Fit, data: Dataset, criteria: SelectionCriteria
 
 
 def can_show_updates(data: Dataset) -> bool:
-    """Return whether the motion can show that the voltages change between the rows: rows far apart, without rests.
-
-    Args:
-        data: Runs (times, voltages, measurements, SI).
-    """
+    """Return whether the motion can show that the voltages change between the rows: rows far apart, without rests."""
     return most_updates(data) > 1 and may_change_between_rows(successive_changes(data))
 
 

@@ -111,7 +111,6 @@ def residue_force(fitted: Fit, data: Dataset) -> float:
 
     Args:
         fitted: Fitted machine with its observer bandwidth. For a fit in simulation (0), an observer of 3 rad/s is used.
-        data: Runs that were fitted.
 
     Returns:
         sqrt(mean over time of the sum of F^2 over the coordinates), N, with the force F of each coordinate at the belt

@@ -274,9 +274,6 @@ def _columns(
 def covered_by_runs(parameter: EffectParameter) -> bool:
     """Return whether the motion of the runs limits what a parameter of an effect may be, see `coverage`.
 
-    Args:
-        parameter: Parameter of an effect.
-
     Returns:
         True for periods and rates, speed scales, and time constants of changes over the session.
     """
@@ -292,7 +289,6 @@ def coverage(parameter: EffectParameter, scales: Mapping[str, float]) -> tuple[f
     friction, a time constant longer than the session from a linear change.
 
     Args:
-        parameter: Parameter of an effect.
         scales: Typical sizes at its component, by unit (`TypicalScales`).
 
     Returns:

@@ -56,7 +56,6 @@ class Signals:
 
     Args:
         machine: Machine that predicts.
-        data: Measured runs.
         motions: What its predictions say about each run.
         rate_hz: Rate of the rows that are compared, Hz.
         filtered: Whether forces below 30 Hz are compared.

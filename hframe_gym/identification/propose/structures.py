@@ -47,7 +47,6 @@ def screen_structures(
 
     Args:
         current: Fit of the machine without such an effect; the effects are evaluated at its observer bandwidth.
-        data: Runs that were fitted.
         scale: Typical sizes on this machine, by which relative starting values are multiplied.
         minimum_gain: Smallest linearized reduction of chi-squared per sample, dimensionless, of a promising effect.
 

@@ -116,7 +116,6 @@ def design_discriminating_experiment(
         label: Label (name@component) of the identified effect.
         rivals: Rivals with fitted parameters, best first. Those that add coordinates (structural effects), those that
             the machine already has, and those that no recording can distinguish are not considered.
-        data: Runs that were fitted.
 
     Returns:
         Design of the run with its voltages, V, shape (n, drives). None if the identified effect is structural or no

@@ -100,9 +100,6 @@ def largest_position_error(evaluation: Evaluation) -> str:
 
     Lengths come first, then angles. Of channels of other kinds, whose units do not compare, it is the error of the
     channel with the largest multiple of its noise.
-
-    Args:
-        evaluation: Errors of a machine.
     """
     errors = evaluation.channels
     measured = {channel: error.rmse for channel, error in errors.items() if error.rmse is not None}

@@ -132,8 +132,6 @@ def find_effects(
         held_names: Names of the runs that are held out.
         may_exchange: Whether other runs may be held out to look for a hint, if the held-out runs contradict the fitted
             ones.
-        criteria: Decision thresholds.
-        log: Called with a line of text.
         budget: Processor time after which the search ends.
         before_search: Called before each search with the plain fit, the fitted and the held-out runs.
     """
@@ -223,8 +221,6 @@ class _RunSearch:
     Args:
         machine: Machine as declared.
         all_runs: All runs, prepared for a fit.
-        criteria: Decision thresholds.
-        log: Called with a line of text.
         budget: Processor time after which a search ends.
         before_search: Called before each search with the plain fit, the fitted and the held-out runs.
     """
@@ -481,7 +477,6 @@ def without_unconfirmed(outcome: SearchOutcome, held_out: Dataset, log: LineLog)
     error but all together make their simulation worse than without effects, the weakest is removed as well.
 
     Args:
-        outcome: Outcome of a search.
         held_out: Held-out runs that do not contradict the fitted ones.
         log: Called with a line of text for each effect that is removed.
     """

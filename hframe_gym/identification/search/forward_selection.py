@@ -78,9 +78,7 @@ class EffectSearch:
     """Forward selection of effects, at the observer bandwidth that the remaining model error requires.
 
     Args:
-        data: Prepared recordings to fit.
         refitted: Machine before effects are added.
-        criteria: Decision thresholds.
         log: Called with a line of text for each candidate.
 
     Attributes:

@@ -70,9 +70,6 @@ class ModelSearch:
 
     Args:
         machine: Machine as declared.
-        data: Runs to fit.
-        criteria: Decision thresholds.
-        log: Called with a line at each stage.
         refitted: Fit of the machine to these runs at `SEARCH_BANDWIDTH`, if it is known already.
         before: The same at the bandwidth that its remaining error requires.
         known: Effects that a search with other voltages between the rows selected; they must pass again.
@@ -581,8 +578,6 @@ def fitted_to_all_rows(
         found: Outcome of a search in a part of the rows.
         machine: Machine from which the search started.
         data: All rows of the runs to fit, without the run that the search left out.
-        criteria: Decision thresholds.
-        log: Called with a line at each stage.
         budget: Processor time of the identification.
 
     Returns:

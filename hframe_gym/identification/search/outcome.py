@@ -68,11 +68,9 @@ def with_removed(
     """Return an outcome without one of its effects, which is listed as considered.
 
     Args:
-        outcome: Outcome of a search.
         removed: The effect.
         reduced: Fit without it.
         reason: Why it is removed, a clause that follows "it ".
-        log: Called with a line of text.
     """
     log(f"  {removed.effect.label} is removed: it {reason}")
     entry = ConsideredEffect(removed.effect, outcome.after.machine, reduced.machine, reason)
@@ -90,7 +88,6 @@ def without_names(outcome: SearchOutcome, reason: str) -> SearchOutcome:
     """Return an outcome whose effects are listed as considered instead of named, as if none had been found.
 
     Args:
-        outcome: Outcome of a search.
         reason: Why they are not named.
     """
     entries = (

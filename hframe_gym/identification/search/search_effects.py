@@ -52,9 +52,6 @@ def search_effects(
 
     Args:
         machine: Machine as declared.
-        data: Runs to fit.
-        criteria: Decision thresholds.
-        log: Called with a line at each stage.
         confirmed: Function that returns whether the held-out runs confirm an outcome from which a suspect was left out.
             If it returns False, the outcome of a search in all runs is returned. Default: it returns True.
         budget: Processor time after which the search ends. The refit of the machine is always completed. Default: the
