@@ -5,8 +5,9 @@ from __future__ import annotations
 from nicegui import ui
 from typing_extensions import override
 
+from ..identification.report.instructions import next_command
 from ..identification.report.remainder import tone_of_remainder
-from ..identification.report.saved_result import next_command, read_report
+from ..identification.report.saved_result import read_report
 from ..identification.report.verdict_words import verdict_sentence
 from ..recordings import load_machine
 from .session import MACHINE, RESULT

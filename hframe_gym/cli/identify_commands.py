@@ -88,7 +88,7 @@ def identify(
     Example:  hframe identify examples/rig_a --out out/rig_a
     """
     began = time.process_time()
-    from ..identification.report.saved_result import next_command
+    from ..identification.report.instructions import next_command
     from ..recordings import load_machine
 
     if out.resolve() == runs_dir.resolve():

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.integrate import cumulative_trapezoid
 
 from ..arrays import Array
 from ..machine import Machine, rigid_motions
@@ -54,15 +55,16 @@ def motion_windows(run: PreparedRecording, span: float) -> MotionWindows:
         empty = np.zeros((0, run.outputs.shape[1]))
         return MotionWindows(empty, empty, empty, np.zeros((0, run.inputs.shape[1])))
     bridged = bridge_blanks(run.outputs, time_s, 1.01 * span)
-    steps = np.diff(time_s)[:, None]
     # Integral of the inputs, which are held from row to row, or change several times on a line to the next row.
     changes = 0.5 * (1.0 - 1.0 / run.updates) * np.diff(run.inputs, axis=0)
-    first = _cumulated((run.inputs[:-1] + changes) * steps)
-    second = _cumulated((first[:-1] + first[1:]) / 2 * steps)
+    first = np.pad(
+        np.cumsum((run.inputs[:-1] + changes) * np.diff(time_s)[:, None], axis=0), ((1, 0), (0, 0))
+    )
+    second = cumulative_trapezoid(first, time_s, axis=0, initial=0.0)
 
     def mean(values: Array) -> Array:
         """Return the mean over a window around each grid point."""
-        integral = _cumulated((values[:-1] + values[1:]) / 2 * steps)
+        integral = cumulative_trapezoid(values, time_s, axis=0, initial=0.0)
         before, after = (_at(grid + side * span / 2, time_s, integral) for side in (-1.0, 1.0))
         return (after - before) / span
 
@@ -80,11 +82,6 @@ def motion_windows(run: PreparedRecording, span: float) -> MotionWindows:
     acceleration = (shifted(2) - 2 * shifted(0) + shifted(-2)) / span**2
     inputs = (twice[2 * _OVERLAP :] - 2 * twice[_OVERLAP:-_OVERLAP] + twice[: -2 * _OVERLAP]) / span**2
     return MotionWindows(position, velocity, acceleration, inputs)
-
-
-def _cumulated(increments: Array) -> Array:
-    """Return the sums of increments up to each row, beginning with 0."""
-    return np.vstack([np.zeros(increments.shape[1]), np.cumsum(increments, axis=0)])
 
 
 def _at(times: Array, time_s: Array, values: Array) -> Array:

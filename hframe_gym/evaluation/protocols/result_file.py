@@ -208,50 +208,54 @@ def _check_draws(path: Path, result: ResultFile, protocol: Protocol) -> None:
                     f"{path}: draws.{part}.{metric}: must hold {protocol.draws} values that are not negative (null "
                     "only for a settling time)"
                 )
-        _check_possible(path, part, values, protocol)
+        check = _check_moves if protocol.parts[part].metrics == "reach" else _check_paths
+        check(f"{path}: draws.{part}", values, protocol)
         if not _close(result.scores.get(part), part_scores(values, protocol.duration_s)):
             raise InputError(f"{path}: scores.{part} do not follow from the draws; write the file again")
 
 
-def _check_possible(path: Path, part: str, values: Draws, protocol: Protocol) -> None:
-    """Raise InputError if the values of a draw cannot be those of a motion; the message names the draw."""
+def _impossible(where: str, draw: int, reason: str) -> InputError:
+    """Return the error for a draw whose values cannot be those of a motion."""
+    return InputError(f"{where}: draw {draw} is impossible: {reason}")
 
-    def refuse(draw: int, reason: str) -> None:
-        raise InputError(f"{path}: draws.{part}: draw {draw} is impossible: {reason}")
 
+def _check_paths(where: str, values: Draws, protocol: Protocol) -> None:
+    """Raise InputError if the errors of a draw cannot be those along a path: no mean exceeds its maximum."""
+    rms, largest, tracking = (np.array(values[name], np.float64) for name in values)
+    for draw in np.flatnonzero((rms > largest + ROUNDING) | (rms > tracking + ROUNDING))[:1]:
+        reason = f"a contour error of {rms[draw]:g} mm rms exceeds its maximum or the tracking error"
+        raise _impossible(where, int(draw), reason)
+
+
+def _check_moves(where: str, values: Draws, protocol: Protocol) -> None:
+    """Raise InputError if the settling times of a draw cannot be those of its move to a point.
+
+    They are samples of the episode, agree with the error at its end, are no shorter for a narrower band than for a
+    wider one, and no shorter than any controller permits.
+    """
     sample_s = protocol.period / SAMPLES_PER_PERIOD
-    if protocol.parts[part].metrics != "reach":
-        rms, largest, tracking = (np.array(values[name], np.float64) for name in values)
-        for draw in np.flatnonzero((rms > largest + ROUNDING) | (rms > tracking + ROUNDING))[:1]:
-            refuse(
-                int(draw),
-                f"a contour error of {rms[draw]:g} mm rms exceeds its maximum or the tracking error",
-            )
-        return
     error = np.array(values["final_error_mm"], np.float64)
     wider_band = np.zeros(len(error))  # settling times, s
     for band, radius in BANDS.items():
-        column = values[f"settling_s.{band}"]
+        name = f"settling_s.{band}"
+        column = values[name]
         times = np.array([np.nan if time is None else time for time in column], np.float64)
+        beyond = error - 1e3 * radius  # mm; an error that is rounded to the radius may be on either side
         off_grid = np.abs(times / sample_s - np.rint(times / sample_s)) > GRID_TOLERANCE
         for draw in np.flatnonzero(off_grid | (times > protocol.duration_s + ROUNDING))[:1]:
-            refuse(int(draw), f"settling_s.{band} = {times[draw]:g} s is no sample of the episode")
-        beyond = error - 1e3 * radius  # mm; an error that is rounded to the radius may be on either side
+            raise _impossible(where, int(draw), f"{name} = {times[draw]:g} s is no sample of the episode")
         for draw in np.flatnonzero(np.where(np.isnan(times), beyond < -ROUNDING, beyond > ROUNDING))[:1]:
-            refuse(
-                int(draw),
-                f"settling_s.{band} is {column[draw]} and the error at the end is {error[draw]:g} mm",
-            )
+            reason = f"{name} is {column[draw]} and the error at the end is {error[draw]:g} mm"
+            raise _impossible(where, int(draw), reason)
         for draw in np.flatnonzero(times < wider_band)[:1]:
-            refuse(int(draw), f"it settles within {band} before it settles within the wider band")
+            raise _impossible(
+                where, int(draw), f"it settles within {band} before it settles within the wider band"
+            )
         wider_band = np.fmax(wider_band, times)
-        if radius <= BANDS[BOUND_BAND]:
-            for shortest_s in protocol_bounds(protocol.name).values():
-                for draw in np.flatnonzero(times < shortest_s - sample_s)[:1]:
-                    reason = (
-                        f"{times[draw]:g} s is less than the shortest possible time, {shortest_s[draw]:.4f} s"
-                    )
-                    refuse(int(draw), f"settling_s.{band} = {reason}")
+        for shortest_s in protocol_bounds(protocol.name).values() if radius <= BANDS[BOUND_BAND] else ():
+            for draw in np.flatnonzero(times < shortest_s - sample_s)[:1]:
+                bound = f"{times[draw]:g} s is less than the shortest possible time, {shortest_s[draw]:.4f} s"
+                raise _impossible(where, int(draw), f"{name} = {bound}")
 
 
 def _close(given: Any, computed: Any) -> bool:

@@ -62,7 +62,6 @@ _WIDE_PRIOR = 1.0  # standard deviation of a logarithm; its limits are then a fa
 _GUIDING_BANDWIDTH = 3.0  # rad/s, of an observer that leads an output-error fit to its solution
 _TERM_PRIOR = 10.0  # in typical sizes of a term
 _NO_LIMIT = 100.0  # times a declared limit; beyond the factor of 55 by which the fits change it
-_LARGEST_LIMIT = 1e9  # rad/s, m/s, Nm or N, that a machine file may state
 # Points at which a simulation is compared, and the best of them from which it is fitted, where nothing else leads to
 # the solution. On CED, three of 32 fitted points reach the minimum, and one of the best 16 of 64.
 _POINTS, _FITTED_POINTS = 64, 16
@@ -425,10 +424,16 @@ def _without_limits(machine: Machine) -> Machine:
 
     At a limit, the motion hardly depends on the gains, and a fit can end where friction takes nearly all of the torque.
     """
-    limits = (f"{drive.name}.{name}" for drive in machine.drives for name in ("speed_limit", "torque_limit"))
+    largest = {
+        f"{law.site}.{p.name}": p.upper
+        for law in machine.drive_laws
+        for p in law.definition.parameters
+        if p.name in ("speed_limit", "torque_limit")
+    }
     known = machine.parameters
-    values = {name: min(_NO_LIMIT * known[name], _LARGEST_LIMIT) for name in limits if name in known}
-    return machine.replace(values)
+    return machine.replace(
+        {n: min(_NO_LIMIT * known[n], limit) for n, limit in largest.items() if n in known}
+    )
 
 
 def _terms(machine: Machine, offsets: Sequence[AppliedEffect]) -> Iterable[AppliedEffect]:

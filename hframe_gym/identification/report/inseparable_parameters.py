@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
 
 from ...arrays import Array
 from ...machine import Machine
@@ -129,7 +130,9 @@ def inseparable_parameters(machine: Machine, declared: Machine) -> tuple[Insepar
     # A direction's component in a parameter that the data determine otherwise is rounding.
     member = np.abs(directions) > np.maximum(np.sqrt(_MIN_MEMBERSHIP * np.diag(scaled)), _MIN_MEMBERSHIP)
     groups = []
-    for rows in _connected(member):
+    # Directions that share a parameter belong together.
+    sets = connected_components(member.astype(int) @ member.T, directed=False)[1]
+    for rows in (np.flatnonzero(sets == k).tolist() for k in np.unique(sets)):
         members = np.flatnonzero(member[rows].any(axis=0))
         # Each parameter of the group that is no pivot gives one sum that the directions leave unchanged.
         if len(members) > 1:
@@ -198,16 +201,3 @@ def _row_echelon(rows: Array) -> tuple[Array, list[int]]:
         reduced[others] -= np.outer(reduced[others, pivot], reduced[i])
         pivots.append(pivot)
     return reduced, pivots
-
-
-def _connected(members: NDArray[np.bool_]) -> list[list[int]]:
-    """Return the indices of rows (m, k) in sets that share no column."""
-    remaining, sets = list(range(len(members))), []
-    while remaining:
-        rows = [remaining.pop(0)]
-        for row in rows:
-            linked = [other for other in remaining if np.any(members[other] & members[row])]
-            rows += linked
-            remaining = [other for other in remaining if other not in linked]
-        sets.append(sorted(rows))
-    return sets

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from ...controllers import TextbookPID, shorter_period
+from ...controllers import TextbookPID, shorter_period, suited_controllers
 from ...envs import EnvConfig
+from ...envs.workspace import workspace_of
 from ...errors import InputError
 from ...machine import BUILTIN_MACHINES, Machine
 from ...operating_system import quoted
@@ -15,7 +16,7 @@ from ..judge.criteria import SelectionCriteria
 from .document import Report
 from .inseparable_parameters import sum_text
 from .rows import EffectRow
-from .saved_result import SavedResult, next_command
+from .saved_result import SavedResult
 
 _NO_DIRECTION = (
     "Add a sensor that shows the direction of the motion, such as an encoder with two channels: without one, the force "
@@ -199,3 +200,36 @@ def _again(saved: SavedResult, folder: Path) -> str:
     known = saved.declared == BUILTIN_MACHINES["hframe"]()
     machine = "" if known else f" --machine {quoted(str(folder / 'declared.json'))}"
     return f"hframe identify RUNS{machine} --out {quoted(str(folder))}"
+
+
+def _has_workspace(machine: Machine) -> bool:
+    """Return whether controllers can be evaluated on a machine."""
+    try:
+        workspace_of(machine)
+    except InputError:
+        return False
+    return True
+
+
+def next_command(verdict: str, machine: Machine, folder: Path) -> str:
+    """Return the command that the user should run after an identification, as a suggestion to print.
+
+    Args:
+        verdict: "effect_found", "no_effect" or "unexplained".
+        machine: Corrected or refitted machine, with its uncertainty where it is known.
+        folder: Folder of the result.
+
+    Returns:
+        Command line that evaluates a controller on the machine, with a control period at which the belts can be
+        damped. For the verdict "unexplained", or a machine for which there are no controllers (it has no tool that
+        moves within a declared range), a command that opens the report, which shows what the residual depends on and
+        what to record next.
+    """
+    if verdict == "unexplained" or not _has_workspace(machine):
+        return f"hframe report {quoted(str(folder))} --open"
+    machine_file, out = (quoted(str(folder / name)) for name in ("machine.json", "control"))
+    randomize = " --randomize identified" if machine.uncertainty else ""
+    shorter = shorter_period(machine, EnvConfig.period)
+    period = "" if shorter is None else f" --period {shorter:g}"
+    controller = suited_controllers(machine)[0]
+    return f"hframe evaluate {controller} --machine {machine_file}{randomize}{period} --html --out {out}"

@@ -11,14 +11,10 @@ import numpy as np
 from pydantic import ValidationError
 
 from ...arrays import Array
-from ...controllers import shorter_period, suited_controllers
 from ...effects import EFFECTS
-from ...envs import EnvConfig
-from ...envs.workspace import workspace_of
 from ...errors import InputError
 from ...files import complete_commit, newest, read_arrays, read_document
 from ...machine import Machine
-from ...operating_system import quoted
 from ...recordings import load_machine
 from .document import STAGES, ChannelErrors, Report
 from .formulas import ProposedFormula, mean_error, propose_formulas, tables_of
@@ -221,36 +217,3 @@ def _check_arrays(arrays: Mapping[str, Array], report: Report, machine: Machine,
         shape = (len(arrays[f"{run}/time_s"]), len(machine.input_channels))
         if inputs is not None and inputs.shape != shape:
             raise _damaged(path, f"array {run}/inputs has the shape {inputs.shape}")
-
-
-def _has_workspace(machine: Machine) -> bool:
-    """Return whether controllers can be evaluated on a machine."""
-    try:
-        workspace_of(machine)
-    except InputError:
-        return False
-    return True
-
-
-def next_command(verdict: str, machine: Machine, folder: Path) -> str:
-    """Return the command that the user should run after an identification, as a suggestion to print.
-
-    Args:
-        verdict: "effect_found", "no_effect" or "unexplained".
-        machine: Corrected or refitted machine, with its uncertainty where it is known.
-        folder: Folder of the result.
-
-    Returns:
-        Command line that evaluates a controller on the machine, with a control period at which the belts can be
-        damped. For the verdict "unexplained", or a machine for which
-        there are no controllers (it has no tool that moves within a declared range), a command that opens the report,
-        which shows what the residual depends on and what to record next.
-    """
-    if verdict == "unexplained" or not _has_workspace(machine):
-        return f"hframe report {quoted(str(folder))} --open"
-    machine_file, out = (quoted(str(folder / name)) for name in ("machine.json", "control"))
-    randomize = " --randomize identified" if machine.uncertainty else ""
-    shorter = shorter_period(machine, EnvConfig.period)
-    period = "" if shorter is None else f" --period {shorter:g}"
-    controller = suited_controllers(machine)[0]
-    return f"hframe evaluate {controller} --machine {machine_file}{randomize}{period} --html --out {out}"

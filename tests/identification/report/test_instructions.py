@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +12,9 @@ import pytest
 from hframe_gym.controllers import TextbookPID
 from hframe_gym.identification import Dataset, write_result
 from hframe_gym.identification.report.document import DeterminedSum, NotSeparable, UndeclaredFriction
-from hframe_gym.identification.report.instructions import next_steps
+from hframe_gym.identification.report.instructions import next_command, next_steps
 from hframe_gym.identification.report.saved_result import load_result
-from hframe_gym.machine import BUILTIN_MACHINES
+from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from tests.identification.report.axis_results import PLAN, STRIBECK, result_of
 from tests.identification.single_axis import AXIS
 
@@ -109,3 +110,33 @@ def test_the_period_of_a_textbook_controller_is_the_longest_one_that_is_stable(
     expected = {0.01: "is stable at this period as well", 0.005: "needs 5 ms or less", 0.002: "needs 2 ms or less",
                 0.001: "needs 1 ms or less", 0.0005: "needs 0.5 ms or less"}  # fmt: skip
     assert f"A textbook PID {expected[periods[0]]}." in step.text
+
+
+BOUNDLESS = AXIS.replace(coordinates=(dataclasses.replace(AXIS.coordinates[0], range=None),))
+
+
+@pytest.mark.parametrize(
+    ("verdict", "machine", "command"),
+    [
+        ("unexplained", AXIS, "hframe report out/rig --open"),  # not the check that has passed
+        ("no_effect", AXIS, "hframe evaluate pid --machine out/rig/machine"),
+        ("effect_found", AXIS, "hframe evaluate pid --machine out/rig/machine"),
+        (
+            "effect_found",
+            BOUNDLESS,
+            "hframe report out/rig --open",
+        ),  # no controller moves its tool within a range
+    ],
+)
+def test_the_next_command_is_one_that_verdict_and_machine_permit(
+    verdict: str, machine: Machine, command: str
+) -> None:
+    assert next_command(verdict, machine, Path("out/rig")).startswith(command)
+
+
+def test_the_next_command_has_a_control_period_at_which_the_belts_can_be_damped() -> None:
+    assert "--period" not in next_command("no_effect", BUILTIN_MACHINES["hframe"](), Path("out/rig"))
+    command = next_command("no_effect", BUILTIN_MACHINES["corexy"](), Path("out/a rig"))
+    words = shlex.split(command)
+    assert words[words.index("--period") + 1] == "0.002"  # belts at 82 Hz
+    assert words[-2:] == ["--out", str(Path("out/a rig/control"))]

@@ -1,10 +1,9 @@
-"""Tests of saved results: a damaged folder is refused with the name of the file, and the next command is permitted."""
+"""Tests of saved results: a damaged folder is refused with the name of the file."""
 
 from __future__ import annotations
 
 import dataclasses
 import json
-import shlex
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,10 +14,9 @@ import pytest
 from hframe_gym.effects import EFFECTS
 from hframe_gym.errors import InputError
 from hframe_gym.identification.report.page import build_report
-from hframe_gym.identification.report.saved_result import load_result, next_command
+from hframe_gym.identification.report.saved_result import load_result
 from hframe_gym.machine import BUILTIN_MACHINES
 from hframe_gym.recordings import load_machine, save_machine
-from tests.identification.single_axis import AXIS
 
 Damage = Callable[[Path], object]
 
@@ -248,28 +246,3 @@ def test_doubts_about_the_machine_are_not_repeated(folder: Path) -> None:
     with pytest.warns(UserWarning, match="is it in millimeters"):
         load_machine(folder / "declared.json")
     assert load_result(folder).declared.coordinates[0].range == (-500.0, 500.0)
-
-
-def test_after_an_unexplained_error_comes_the_report_and_not_the_check_that_has_passed() -> None:
-    assert next_command("unexplained", AXIS, Path("out/rig")) == "hframe report out/rig --open"
-    assert next_command("no_effect", AXIS, Path("out/rig")).startswith(
-        "hframe evaluate pid --machine out/rig/machine"
-    )
-
-
-def test_the_next_command_has_a_control_period_at_which_the_belts_can_be_damped() -> None:
-    assert "--period" not in next_command("no_effect", BUILTIN_MACHINES["hframe"](), Path("out/rig"))
-    command = next_command("no_effect", BUILTIN_MACHINES["corexy"](), Path("out/a rig"))
-    words = shlex.split(command)
-    assert words[words.index("--period") + 1] == "0.002"  # belts at 82 Hz
-    assert words[-2:] == ["--out", str(Path("out/a rig/control"))]
-
-
-def test_the_next_command_is_one_that_the_machine_permits() -> None:
-    """Controllers move a tool within a range; a machine without either can be simulated, but not evaluated."""
-    (x,) = AXIS.coordinates
-    boundless = AXIS.replace(coordinates=(dataclasses.replace(x, range=None),))
-    assert next_command("effect_found", boundless, Path("out/rig")) == "hframe report out/rig --open"
-    assert next_command("effect_found", AXIS, Path("out/rig")).startswith(
-        "hframe evaluate pid --machine out/rig/"
-    )
