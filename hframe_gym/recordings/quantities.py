@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -25,14 +25,20 @@ class Quantity:
         article: "a" or "an".
         units: Factor to the SI unit as numerator and denominator, by unit, beginning with the SI unit. Dividing by 1000
             rounds correctly, multiplying by 0.001 does not.
-        words: Words in headers that name the quantity, in lower case, in English, German and French.
+        names: Words in headers that name the quantity, in lower case, in English, German and French, separated by
+            blanks.
         family: Quantities of one family differ only by the kind of motion (linear or rotary).
     """
 
     article: str
     units: Factors = field(default_factory=dict)
-    words: tuple[str, ...] = ()
+    names: str = ""
     family: str = ""
+
+    @cached_property
+    def words(self) -> tuple[str, ...]:
+        """The words that name the quantity."""
+        return tuple(self.names.split())
 
 
 # "position", "speed" and "acceleration" have no units: a name alone does not say whether the motion is linear or
@@ -41,41 +47,17 @@ QUANTITIES: dict[str, Quantity] = {
     "time": Quantity(
         "a",
         {"s": (1, 1), "ms": (1, 1e3), "us": (1, 1e6), "ns": (1, 1e9), "min": (60, 1)},
-        (
-            *(
-                "time",
-                "timestamp",
-                "zeit",
-                "uhrzeit",
-                "zeitstempel",
-                "elapsed",
-                "seconds",
-                "sec",
-                "millis",
-                "micros",
-            ),
-            *("clock", "date", "datum", "messzeit", "laufzeit"),
-        ),
+        "time timestamp zeit uhrzeit zeitstempel elapsed seconds sec millis micros clock date datum messzeit laufzeit",
     ),
-    "voltage": Quantity(
-        "a", {"V": (1, 1), "mV": (1, 1e3)}, ("voltage", "volt", "volts", "spannung", "vbus", "vbat")
-    ),
+    "voltage": Quantity("a", {"V": (1, 1), "mV": (1, 1e3)}, "voltage volt volts spannung vbus vbat"),
     "duty cycle": Quantity(
-        "a",
-        {"%": (1, 100), "pu": (1, 1)},
-        ("duty", "dutycycle", "pwm", "throttle", "tastgrad", "aussteuerung"),
+        "a", {"%": (1, 100), "pu": (1, 1)}, "duty dutycycle pwm throttle tastgrad aussteuerung"
     ),
-    "current": Quantity(
-        "a",
-        {"A": (1, 1), "mA": (1, 1e3)},
-        ("current", "amps", "ampere", "amperage", "strom", "courant", "iq"),
-    ),
+    "current": Quantity("a", {"A": (1, 1), "mA": (1, 1e3)}, "current amps ampere amperage strom courant iq"),
     "torque": Quantity(
-        "a",
-        {"Nm": (1, 1), "mNm": (1, 1e3), "Ncm": (1, 1e2)},
-        ("torque", "moment", "drehmoment", "couple", "tau", "effort"),
+        "a", {"Nm": (1, 1), "mNm": (1, 1e3), "Ncm": (1, 1e2)}, "torque moment drehmoment couple tau effort"
     ),
-    "force": Quantity("a", {"N": (1, 1), "mN": (1, 1e3), "kN": (1e3, 1)}, ("force", "kraft", "thrust")),
+    "force": Quantity("a", {"N": (1, 1), "mN": (1, 1e3), "kN": (1e3, 1)}, "force kraft thrust"),
     "length": Quantity(
         "a",
         {
@@ -87,28 +69,16 @@ QUANTITIES: dict[str, Quantity] = {
             "in": (0.0254, 1),
             "ft": (0.3048, 1),
         },
-        ("displacement", "distance", "stroke", "travel", "weg", "hub", "abstand"),
+        "displacement distance stroke travel weg hub abstand",
         "position",
     ),
     "angle": Quantity(
         "an",
         {"rad": (1, 1), "mrad": (1, 1e3), "deg": (np.pi, 180), "rev": (2 * np.pi, 1)},
-        (
-            "angle",
-            "winkel",
-            "theta",
-            "phi",
-            "rotation",
-            "rotations",
-            "turns",
-            "heading",
-            "yaw",
-            "pitch",
-            "roll",
-        ),
+        "angle winkel theta phi rotation rotations turns heading yaw pitch roll",
         "position",
     ),
-    "position": Quantity("a", {}, ("position", "pos", "encoder", "laser"), "position"),
+    "position": Quantity("a", {}, "position pos encoder laser", "position"),
     "linear speed": Quantity(
         "a",
         {
@@ -119,83 +89,40 @@ QUANTITIES: dict[str, Quantity] = {
             "in/s": (0.0254, 1),
             "ft/s": (0.3048, 1),
         },
-        (),
+        "",
         "speed",
     ),
     "angular speed": Quantity(
         "an",
         {"rad/s": (1, 1), "deg/s": (np.pi, 180), "rpm": (2 * np.pi, 60), "rev/s": (2 * np.pi, 1)},
-        ("rpm", "rps", "omega", "drehzahl", "gyro"),
+        "rpm rps omega drehzahl gyro",
         "speed",
     ),
     "speed": Quantity(
         "a",
         {},
-        (
-            *(
-                "speed",
-                "velocity",
-                "vel",
-                "velo",
-                "geschwindigkeit",
-                "vitesse",
-                "tacho",
-                "tachometer",
-                "rate",
-            ),
-            *("dot", "xdot", "ydot", "qdot", "phidot", "thetadot", "dphi", "dtheta"),
-        ),
+        "speed velocity vel velo geschwindigkeit vitesse tacho tachometer rate "
+        "dot xdot ydot qdot phidot thetadot dphi dtheta",
         "speed",
     ),
     "linear acceleration": Quantity(
-        "a", {"m/s^2": (1, 1), "mm/s^2": (1, 1e3), "g": (9.80665, 1)}, (), "acceleration"
+        "a", {"m/s^2": (1, 1), "mm/s^2": (1, 1e3), "g": (9.80665, 1)}, "", "acceleration"
     ),
-    "angular acceleration": Quantity("an", {"rad/s^2": (1, 1), "deg/s^2": (np.pi, 180)}, (), "acceleration"),
+    "angular acceleration": Quantity("an", {"rad/s^2": (1, 1), "deg/s^2": (np.pi, 180)}, "", "acceleration"),
     "acceleration": Quantity(
         "an",
         {},
-        (
-            "acceleration",
-            "accel",
-            "acc",
-            "beschleunigung",
-            "ddot",
-            "xddot",
-            "yddot",
-            "qddot",
-            "phiddot",
-            "thetaddot",
-        ),
+        "acceleration accel acc beschleunigung ddot xddot yddot qddot phiddot thetaddot",
         "acceleration",
     ),
     "temperature": Quantity(
-        "a", {"degC": (1, 1), "K": (1, 1), "degF": (1, 1)}, ("temperature", "temp", "temperatur")
+        "a", {"degC": (1, 1), "K": (1, 1), "degF": (1, 1)}, "temperature temp temperatur"
     ),
-    "power": Quantity("a", {"W": (1, 1), "kW": (1e3, 1)}, ("power", "leistung", "puissance")),
-    "frequency": Quantity("a", {"Hz": (1, 1), "kHz": (1e3, 1)}, ("frequency", "freq", "frequenz")),
-    "pressure": Quantity("a", {"bar": (1e5, 1), "Pa": (1, 1)}, ("pressure", "druck", "pression")),
-    "row number": Quantity(
-        "a",
-        {},
-        ("index", "idx", "sample", "samples", "timestep", "tick", "ticks", "seq", "sequence", "row", "frame"),
-    ),
-    "state": Quantity(
-        "a",
-        {},
-        (
-            "state",
-            "status",
-            "flag",
-            "flags",
-            "mode",
-            "fault",
-            "valid",
-            "enable",
-            "enabled",
-            "trigger",
-            "event",
-        ),
-    ),
+    "power": Quantity("a", {"W": (1, 1), "kW": (1e3, 1)}, "power leistung puissance"),
+    "frequency": Quantity("a", {"Hz": (1, 1), "kHz": (1e3, 1)}, "frequency freq frequenz"),
+    "pressure": Quantity("a", {"bar": (1e5, 1), "Pa": (1, 1)}, "pressure druck pression"),
+    "row number": Quantity("a", {}, "index idx sample samples timestep tick ticks seq sequence row frame"),
+    "state": Quantity("a", {}, "state status flag flags mode fault valid enable enabled trigger event"),
 }
 # Units of a number without a dimension: encoder counts, converter steps, bits, and marks of a column without a unit.
 COUNT_UNITS = (

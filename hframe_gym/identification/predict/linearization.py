@@ -165,20 +165,6 @@ class ResidualModel:
         """
         return parameter_table(self.machine, self.free, thetas)
 
-    def linearize_run(self, run: PreparedRecording, theta: Array) -> RunLinearization:
-        """Linearize the residual (prediction error / noise) of one run of the data set.
-
-        `at(theta).linearize_run` does the same for several runs and computes what they have in common once.
-
-        Args:
-            theta: Dimensionless variables of the k free parameters at the expansion point, shape (k,).
-
-        Returns:
-            Residual, shape (rows,), and its derivatives, shape (k, rows), without the part that an error of the initial
-            state can explain.
-        """
-        return self.at(theta).linearize_run(run)
-
     def linearize(self, theta: Array, responses: Responses | None = None) -> Linearization:
         """Linearize the residual (prediction error / noise) of all runs as a function of the free parameters.
 

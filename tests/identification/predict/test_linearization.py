@@ -84,7 +84,7 @@ def test_jacobian_matches_the_closed_form(cart: Machine) -> None:
     data = prepare([Recording("run", time_s, np.full((1500, 1), 3.0), position[:, None])], cart)
     free = (FreeParameter("x.mass", 2.0, prior=0.3), FreeParameter("x.viscous", 5.0, prior=0.7))
     model = ResidualModel(cart, free, data, SIMULATION)
-    linear = model.linearize_run(data.runs[0], np.zeros(2))
+    linear = model.at(np.zeros(2)).linearize_run(data.runs[0])
     h = 1e-5
     for row, (dm, db) in zip(linear.jacobian, ((h, 0.0), (0.0, h)), strict=True):
         slope = (
@@ -127,7 +127,7 @@ def test_responses_are_summed_beside_the_jacobian(cart: Machine) -> None:
     data = prepare(runs, cart)
     free = default_free_parameters(cart)[:3]
     model = ResidualModel(cart, free, data, SEARCH_BANDWIDTH, rows_per_block=4)
-    plain = {run.name: model.linearize_run(run, np.zeros(3)) for run in data.runs}
+    plain = {run.name: model.at(np.zeros(3)).linearize_run(run) for run in data.runs}
 
     def responses(run: PreparedRecording, motion: Motion) -> np.ndarray:
         assert motion.positions.shape == (1, len(run.time_s), 1)
