@@ -14,7 +14,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 
@@ -155,58 +154,26 @@ def fit(
     """
     theta = np.zeros(len(free)) if theta is None else np.array(theta, float)
     steps: tuple[float | None, ...] = (None, DIFFERENCE_STEP) if any(f.switch for f in free) else (None,)
-    best = _Point(theta, math.inf, math.inf, np.zeros((len(free), len(free))))
     for step in _IMPACT_DIFFERENCE_STEPS if has_impacts(machine) else steps:
         model = ResidualModel(machine, tuple(free), data, bandwidth, longest_step, difference_step=step)
-        theta, cost, information, lowest = _descend(model, theta, iterations, tolerance, goal)
-        best = min(best, lowest, key=lambda point: point.total)
-    if math.isfinite(cost):  # costs of trials have the influence of unknown starts linearized before the step
-        cost = prediction_cost(model.machine_at(theta), data, bandwidth, longest_step=longest_step)
-        if (
-            cost + _penalty(cost, theta, model) > (1.0 + tolerance) * best.total
-        ):  # and may have promised too much
-            theta, cost, _, information = best
+        theta, cost, information = _descend(model, theta, iterations, tolerance, goal)
     machine = model.machine_at(theta)
+    if math.isfinite(cost):  # costs of trials have the influence of unknown starts linearized before the step
+        cost = prediction_cost(machine, data, bandwidth, longest_step=longest_step)
     floor = innovation_variance(machine, data, bandwidth)[0]
     return Fit(machine, model.free, theta, cost, data.count, bandwidth, information, longest_step, floor)
 
 
-class _Point(NamedTuple):
-    """Values of theta at which a model was linearized.
-
-    Attributes:
-        theta: The values, shape (k,).
-        cost: Cost without the penalty of the prior.
-        total: Cost with it.
-        information: Fisher information without the prior, shape (k, k).
-    """
-
-    theta: Array
-    cost: float
-    total: float
-    information: Array
-
-
-def _penalty(cost: float, theta: Array, model: ResidualModel) -> float:
-    """Return the penalty of the prior for theta with this cost.
-
-    If the mean square error is chi2 times that of the noise, the data are that much less certain; the prior is scaled
-    by chi2 instead, so that it keeps its weight relative to the data.
-    """
-    return float(theta @ prior_precision(model.free) @ theta) * max(1.0, cost / model.data.count)
-
-
 def _descend(
     model: ResidualModel, theta: Array, iterations: int, tolerance: float, goal: float
-) -> tuple[Array, float, Array, _Point]:
+) -> tuple[Array, float, Array]:
     """Reduce the cost by Levenberg-Marquardt steps, until a further one would reduce it by less than the tolerance.
 
-    Return theta; its cost with the penalty of the prior, infinite if the machine diverges; the Fisher information
-    without the prior at the last expansion point; and the expansion point with the lowest cost.
+    Return theta; its cost with the penalty of the prior, infinite if the machine diverges; and the Fisher information
+    without the prior at the last expansion point.
     """
     free, prior = model.free, prior_precision(model.free)
     information, cost = np.zeros((len(free), len(free))), math.inf
-    best = _Point(theta, cost, cost, information)
     for iteration in range(iterations):
         if not goes_on() and iteration:  # the first one tells the cost
             break
@@ -215,10 +182,10 @@ def _descend(
         if not equations.finite:  # this machine diverges, or one with slightly different parameters
             break
         information = equations.information
+        # If the mean square error is chi2 times that of the noise, the data are that much less certain; the prior is
+        # scaled by chi2 instead, so that it keeps its weight relative to the data.
         precision = prior * max(1.0, equations.chi2)
-        initial_cost = cost = equations.cost + _penalty(equations.cost, theta, model)
-        if cost < best.total:
-            best = _Point(theta, equations.cost, cost, information)
+        initial_cost = cost = equations.cost + float(theta @ precision @ theta)
         hessian, gradient = information + precision, equations.gradient + precision @ theta
         scaling = np.diag(np.diag(hessian))
         steps = np.array([bounded_step(free, theta, hessian + d * scaling, gradient) for d in _DAMPINGS])
@@ -241,7 +208,7 @@ def _descend(
             theta, cost = _best_trial(trials, _costs(expansion, precision, trials), theta, cost)
         if not before - cost > tolerance * cost:
             break
-    return theta, cost, information, best
+    return theta, cost, information
 
 
 def _next_decrease(promised: Array, found: Array) -> float:

@@ -86,20 +86,6 @@ def test_a_step_that_keeps_its_promise_is_the_last_one(
     assert again.cost == pytest.approx(fitted.cost, rel=1e-4)
 
 
-def test_steps_that_promise_too_much_deliver_no_worse_machine(
-    hframe: Machine, data: Dataset, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The costs of trials have the start of a run linearized where the step began; here, each seems to be the best."""
-    run = data.with_runs([data.runs[0].name])
-    free = default_free_parameters(hframe)
-    fitted = fit(hframe, free, run, SEARCH_BANDWIDTH)
-    monkeypatch.setattr(estimation, "bounded_step", lambda free, theta, *model: np.full(len(theta), 0.05))
-    monkeypatch.setattr(Linearization, "costs", lambda self, thetas: np.full(len(thetas), -1e9))
-    again = fit(hframe, free, run, SEARCH_BANDWIDTH, theta=fitted.theta, iterations=2)
-    np.testing.assert_array_equal(again.theta, fitted.theta)
-    assert again.cost == pytest.approx(fitted.cost, rel=1e-7)
-
-
 @pytest.mark.parametrize(
     ("found", "next_decrease"),
     [
