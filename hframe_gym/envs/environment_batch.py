@@ -104,6 +104,7 @@ class EnvironmentBatch:
         previews, entries = len(self.task.ahead_s), builder.entries
         signals = observation_signals(self.machine, previews, observed=entries, privileged=builder.privileged)
         self.observations = builder
+        self._no_arrays = {key: np.empty((count, 0), np.float32) for key in sorted(signals)}
         self.format = ObservationFormat(
             signals, normalize=config.normalize, flat=config.flat, error=config.error
         )
@@ -316,8 +317,9 @@ class EnvironmentBatch:
         return tool
 
     def _blank(self) -> Observation:
-        """Allocate an observation of all environments."""
-        observation = self.observations.blank()
+        """Allocate an observation of all environments, with its keys in the order of the observation space."""
+        observation = self._no_arrays.copy()
+        self.observations.add_blank(observation)
         self.references.add_blank(observation)
         return observation
 

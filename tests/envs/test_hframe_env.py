@@ -45,6 +45,20 @@ def test_types_of_the_results():
     assert type(info["distance_m"]) is float
 
 
+@pytest.mark.parametrize("error", [False, True])
+@pytest.mark.parametrize("normalize", [False, True])
+@pytest.mark.parametrize("name", ["HFrame-v0", "HFrameTrack-v0"])
+def test_keys_have_the_order_of_the_space(name, normalize, error):
+    """Arrays that are joined in the order of the dict are those that FlattenObservation joins."""
+    env = gym.make(name, normalize=normalize, error=error, privileged=True)
+    joined = gym.wrappers.FlattenObservation(env)
+    for observation in (env.reset(seed=0)[0], env.step(np.zeros(2))[0]):
+        assert list(observation) == list(env.observation_space.spaces)
+        np.testing.assert_array_equal(
+            joined.observation(observation), np.concatenate(list(observation.values()))
+        )
+
+
 def test_entries_describe_the_observation():
     env = HFrameEnv()
     assert [(e.name, e.unit) for e in env.entries] == [

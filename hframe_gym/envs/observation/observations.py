@@ -164,12 +164,10 @@ class ObservationBuilder:
         if self._sensors is not None:
             self._sensors.measure(self._simulator.readings, elapsed, first, last)
 
-    def blank(self) -> Observation:
-        """Allocate the arrays of an observation without its goals, shape (count, entries of the key)."""
-        observation: Observation = {}
-        for key, shape in self._shapes:  # quicker than a comprehension, and every step does it
+    def add_blank(self, observation: Observation) -> None:
+        """Add arrays to an `observation`, shape (count, entries of the key), all but those of its goals."""
+        for key, shape in self._shapes:
             observation[key] = np.empty(shape, _FLOAT32)
-        return observation
 
     def tool_array(self, observation: Observation) -> NDArray[np.float32]:
         """Return the array into which `write` is to put the true tool positions, m, shape (count, axes).

@@ -332,7 +332,7 @@ class ObservationFormat:
         if self.error:
             values["error"] = self._errors(observation)
         if self.entries is None:
-            return values
+            return {key: values[key] for key in self._keys} if self.error else values
         return np.concatenate([values[key] for key in self._keys], axis=1)
 
     def restore(self, observation: Any) -> dict[str, NDArray[np.float32]]:

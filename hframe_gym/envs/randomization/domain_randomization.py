@@ -177,10 +177,10 @@ class RandomizeParameter:
             self.distribution,
             f"randomize: the distribution of {self.parameter!r} is {self.distribution!r}",
         )
-        if isinstance(given, Sequence) and not isinstance(given, str) and given:
+        if not isinstance(given, str) and isinstance(given, Sequence) and given and isinstance(given[0], str):
             name, *arguments = given
             try:
-                distribution = DISTRIBUTIONS.get(str(name))(*arguments)
+                distribution = DISTRIBUTIONS.get(name)(*arguments)
             except (TypeError, InputError) as error:
                 raise InputError(f"{label}: {str(error).removeprefix('randomize: ')}") from None
             object.__setattr__(self, "distribution", distribution)
@@ -300,7 +300,10 @@ def _as_rule(entry: object) -> Rule:
         except TypeError as error:
             raise InputError(f"randomize: {arguments}: {error}; write a list such as {_EXAMPLE}") from None
     if not isinstance(entry, RandomizeParameter | RandomizeIdentified):
-        raise InputError(f"randomize: {entry!r} is neither a RandomizeParameter nor a RandomizeIdentified")
+        raise InputError(
+            f"randomize: {entry!r} is neither a RandomizeParameter nor a RandomizeIdentified; write for example "
+            "RandomizeParameter('x.mass', Uniform(0.8, 1.2)), which scales the declared mass"
+        )
     if entry.when not in ("reset", "startup"):
         raise InputError(f"randomize: {entry!r} has when = {entry.when!r}; choose 'reset' or 'startup'")
     if isinstance(entry, RandomizeParameter) and entry.how not in ("scale", "add", "set"):

@@ -149,9 +149,13 @@ class RuleSampler:
         """Add a rule for single parameters; raise InputError for one that matches none or can leave the limits."""
         indices = matching(self._space.names, rule)
         if not indices:
+            effect = (
+                "; parameters of an effect vary only if the machine has the effect: add it by machine.with_effects "
+                "or in machine.json"
+            )
             raise InputError(
                 f"randomize: machine {self._space.machine_name!r} and its task have no parameter {rule.parameter!r}; "
-                f"{example_names(rule.parameter, self._space.names)}"
+                f"{example_names(rule.parameter, self._space.names)}{effect if '@' in rule.parameter else ''}"
             )
         self._add_step(indices, rule)
         # 0 remains 0

@@ -29,7 +29,7 @@ def test_a_distribution_can_be_given_by_name():
         RandomizeParameter("x.mass", ("gamma", 1.0))
     with pytest.raises(InputError, match="uniform"):
         RandomizeParameter("x.mass", ("uniform", 1.0))
-    for wrong in (1.0, "uniform", "unifrom", "", Uniform):
+    for wrong in (1.0, "uniform", "unifrom", "", Uniform, (0.8, 1.2), ()):
         with pytest.raises(
             InputError, match=r"randomize: the distribution of 'x.mass' is .*; give a Distribution such as"
         ):
@@ -66,6 +66,11 @@ def test_apply(how, expected):
 @pytest.mark.parametrize(
     ("rules", "message"),
     [
+        ([("x.mass", 0.8, 1.2)], r"write for example RandomizeParameter\('x.mass', Uniform\(0.8, 1.2\)\)"),
+        (
+            [RandomizeParameter("input_delay@drives.d", Uniform(0, 0.01), how="set")],
+            r"only if the machine has the effect: add it by machine.with_effects",
+        ),
         (
             [RandomizeParameter("z.mass", Uniform(1, 2))],
             "no parameter 'z.mass'; names are, for example, .*x.mass",
