@@ -299,7 +299,10 @@ class ModelSearch:
     @cached_property
     def _difference(self) -> RunDifferences | None:
         """The parameter that differs from run to run and explains the runs without effects, if there is one."""
-        return find_run_differences(self.before, self._data, self._criteria)
+        difference = find_run_differences(self.before, self._data, self._criteria)
+        if difference is not None:
+            self._log(f"{difference.quantity.name} differs between the runs")
+        return difference
 
     @property
     def needs_no_effect(self) -> bool:
@@ -312,9 +315,12 @@ class ModelSearch:
 
         A table over time may explain a parameter that drifts. If a single run differs, the others may have effects.
         """
-        if (difference := self._difference) is not None:
-            self._log(f"{difference.quantity.name} differs between the runs")
-        return difference is not None and not difference.drifts and difference.different_run is None
+        return self._difference is not None and not self._drifts and self._difference.different_run is None
+
+    @property
+    def _drifts(self) -> bool:
+        """Whether this parameter only rises or only falls over the runs, as a table over time may explain."""
+        return self._difference is not None and self._difference.drifts
 
     def _within_limits(self, found: Found, search: EffectSearch | None = None) -> Found:
         """Remove effects that the final fit moves to a limit of their range, and those that fail without them.
@@ -434,10 +440,13 @@ class ModelSearch:
         return self._without_imitations(found, search)
 
     def _without_imitations(self, found: Found, search: EffectSearch) -> Found:
-        """Remove effects that only imitate a parameter which differs from run to run; others must hold without them."""
+        """Remove effects that only imitate a parameter which differs from run to run; others must hold without them.
+
+        Alone, they are removed by the verdict, unless a table over time may take their place.
+        """
         imitations = [s for s in found.effects if _may_differ_by_run(s.effect.definition)]
         others = tuple(s for s in found.effects if s not in imitations)
-        drift = self._imitated_drift(found.fitted) if imitations and others else ""
+        drift = self._imitated_drift(found.fitted) if imitations and (others or self._drifts) else ""
         reduced: Fit | None = found.fitted if drift else None
         for s in imitations:
             data = self._data_of(found.fitted)
@@ -447,6 +456,8 @@ class ModelSearch:
         considered = found.considered + self._removed(
             found.fitted, tuple(imitations), less_well_than_by_run(drift)
         )
+        if not others:
+            return Found(self.before, (), considered)
         reduced, others = search.prune(reduced, tuple(s.with_values(reduced.machine) for s in others))
         return self._within_limits(Found(reduced, others, considered), search)
 

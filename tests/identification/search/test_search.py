@@ -313,6 +313,21 @@ def test_only_effects_that_may_differ_by_run_give_way_to_a_parameter_that_does(
     assert [c.effect for c in outcome.considered] == [WARM_UP]
 
 
+@pytest.mark.parametrize("drifts", [True, False])
+def test_a_table_over_time_may_take_the_place_of_an_effect_that_imitates_a_drift(
+    scripted_search: ScriptedSearch, drifts: bool
+) -> None:
+    """A guide that rubs more while it is cold was `unexplained`: the effect of the library warms all of the machine."""
+    scripted_search.effects = (selected(WARM_UP),)
+    scripted_search.after = scripted_search.with_effects = scripted_search.wide = 5.0
+    scripted_search.tables = [(fit_with(TABLE, chi2=1.1), (selected(TABLE),))]
+    scripted_search.simulated_tables = 1.2
+    scripted_search.differences = differences(drifts=drifts)
+    outcome = scripted_search.run()
+    assert [c.effect for c in outcome.considered] == [WARM_UP]
+    assert [s.effect for s in outcome.selected] == ([TABLE] if drifts else [])
+
+
 def test_effects_that_explain_the_data_are_found_although_runs_differ(
     scripted_search: ScriptedSearch,
 ) -> None:
