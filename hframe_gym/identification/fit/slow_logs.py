@@ -332,10 +332,11 @@ def deviations_of_fits(fitted: Fit, data: Dataset) -> Array:
         data: Runs that were fitted.
 
     Returns:
-        Deviations of the fits, shape (m, k); of none, shape (0, k), if the voltages are held or no time is left.
+        Deviations of the fits, shape (m, k); of none, shape (0, k), if the voltages are held, nothing was fitted (the
+        declared machine is delivered) or no time is left.
     """
     deviations = list[Array]()
-    if data.has_voltage_errors:
+    if data.has_voltage_errors and fitted.free:
         for bandwidth in (SEARCH_BANDWIDTH, NARROWEST_WITH_VOLTAGE_ERRORS):
             deviations.append(continue_fit(fitted, data, bandwidth).theta - fitted.theta)
             if not goes_on():  # then that fit did not converge

@@ -303,6 +303,8 @@ def test_fits_that_weigh_errors_otherwise_widen_the_intervals() -> None:
 
 def test_held_voltages_and_a_budget_that_ended_widen_no_interval() -> None:
     assert len(deviations_of_fits(least_squares(), slow_log())) == 0
+    declared = fit(RIG, (), with_errors(), SEARCH_BANDWIDTH)
+    assert deviations_of_fits(declared, with_errors()).shape == (0, 0)
     with Budget(0.0).limiting(delivers=True):
         assert len(deviations_of_fits(least_squares(), with_errors())) == 0
 
