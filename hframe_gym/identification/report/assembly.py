@@ -50,26 +50,26 @@ def build_result(
         delivered: The outcome with its machines and their errors.
         found: Outcome of the search, with the held-out runs that contradict the fitted ones.
         remarks: What the user should know about the runs, one sentence each.
-        differences: What differs between the runs. If it explains them, the missing force depends on no variable: what
-            it seems to depend on, and the effects that come near it, only go with the runs.
+        differences: What differs between the runs. If that explains their error, no variable is listed on which the
+            missing force depends: it would only follow what differs.
         budget: Budget of the identification.
         unstable: Whether an unstable motion is the cause of the simulation error that is left.
     """
     evaluated = delivered.evaluated
     outcome, selected = evaluated.outcome, evaluated.selected
     before, after, data = outcome.before, outcome.after, outcome.data
-    refined = refine_dataset(data, after.machine)
+    refined_data = refine_dataset(data, after.machine)
     with budget.limiting(delivers=True):
-        deviations = deviations_of_fits(after, refined)
-    uncertain = with_uncertainty(after, refined, deviations=deviations)
+        deviations = deviations_of_fits(after, refined_data)
+    uncertain = with_uncertainty(after, refined_data, deviations=deviations)
     corrected = evaluated.after.machine.replace(uncertainty=uncertain.uncertainty)
-    experiments = (
-        design_discriminating_experiment(after, corrected, s.effect.label, s.rival_effects, refined)
+    experiments = (  # designed one after the other until there is one
+        design_discriminating_experiment(after, corrected, s.effect.label, s.rival_effects, refined_data)
         for s in selected
     )
     held_out = evaluated.held_out
     part = representative_part(data, before.machine, size=budget.session_part * NORMAL_SESSION)
-    drives = drive_force(corrected, data)
+    force_of_drives = drive_force(corrected, data)
     unfinished = (
         Unfinished(outcome.unfinished, budget.reason, budget.interrupted) if outcome.unfinished else None
     )
@@ -81,14 +81,14 @@ def build_result(
         effects=selected,
         gains={s.effect.label: held_out_gain(s, corrected, held_out, after.bandwidth) for s in selected},
         considered=tuple(_rejected(c, data, held_out, after.bandwidth) for c in outcome.considered),
-        sizes={s.effect.label: effect_force(corrected, s.effect, data) / drives for s in selected},
+        sizes={s.effect.label: effect_force(corrected, s.effect, data) / force_of_drives for s in selected},
         dependence=()
         if differences.explain
         else tuple(rank_dependences(before.machine, part)[:_MAX_DEPENDENCES]),
         white=bool(white_sensors(corrected, held_out).all()),
         fitted=data,
         held_out=held_out,
-        seconds=0.0,
+        seconds=0.0,  # `identify` states the time, which includes this function
         experiment=next(filter(None, experiments), None),
         criteria=evaluated.test.criteria,
         excluded=(
@@ -142,7 +142,7 @@ def _hint(result: IdentificationResult) -> Hint | None:
 
 
 def _rejected(entry: ConsideredEffect, data: Dataset, held_out: Dataset, bandwidth: float) -> RejectedEffect:
-    """Return a rejected effect with its size and its gain on the held-out runs."""
+    """Return a rejected effect with its force over that of the drives, and its gain on the held-out runs."""
     return RejectedEffect(
         entry.effect,
         effect_force(entry.machine, entry.effect, data) / drive_force(entry.machine, data),
