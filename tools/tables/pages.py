@@ -7,7 +7,7 @@ from pathlib import Path
 from tools.repository import ROOT
 
 # The modules of tables register these when they are imported.
-from tools.tables import agents, commands, gap, identification, simulator  # noqa: F401
+from tools.tables import agents, commands, gap, identification, real_recordings, simulator  # noqa: F401
 from tools.tables.effects_page import effects_page
 from tools.tables.leaderboard import leaderboard_page, results
 from tools.tables.machine_page import schema_text, with_field_tables

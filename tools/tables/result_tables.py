@@ -98,7 +98,8 @@ def filled(text: str, *, conditions: bool = True) -> str:
         if not (RESULTS / f"{source}.json").is_file():
             return match[0]
         results = load_results(source)
-        note = f"\n\n{_conditions(results)}" if conditions else ""
+        # the rows of a file that is written by hand state where they were measured
+        note = f"\n\n{_conditions(results)}" if conditions and "versions" in results else ""
         return f"<!-- table: {match[1]} -->\n{formatter(results)}{note}\n<!-- end -->"
 
     return re.sub(r"<!-- table: (\w+) -->.*?<!-- end -->", rewritten, text, flags=re.DOTALL)
