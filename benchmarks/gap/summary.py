@@ -73,7 +73,8 @@ def summarize(contents: dict[str, dict[str, Any]]) -> dict[str, Any]:
     Returns:
         By key, as plain data: "entries" with the scores, "steps" with the comparison of each model with the declared
         one (by controller and part), "learned" with the comparison of the best learned entry with the best other one
-        (by track and part), and "plants" with what they hide and what was identified.
+        (by track and part), "scored_by" with the code that scored which plants, and "plants" with what they hide and
+        what was identified.
     """
     files = by_entry(contents)
     entries = {name: _scores(of_seeds) for name, of_seeds in files.items()}
@@ -89,6 +90,7 @@ def summarize(contents: dict[str, dict[str, Any]]) -> dict[str, Any]:
         "entries": dict(sorted(entries.items(), key=lambda item: item[1]["over_bound"][0])),
         "steps": steps,
         "learned": _learned_against_other(files, entries),
+        "scored_by": _scored_by(contents),
         "plants": _plants(files),
     }
 
@@ -146,6 +148,22 @@ def _scores(of_seeds: list[dict[str, Any]]) -> dict[str, Any]:
         "prepare_cpu_s": cost(lambda row: float(row["about"].get("cpu_s", row["prepare_cpu_s"]))),
         "control_us": cost(lambda row: float(row["control_us"])),
     }
+
+
+def _scored_by(contents: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return which entries were scored on which plants by which commit, or, if a row names none, by which version."""
+    plants: dict[tuple[str, str], list[int]] = {}
+    for name, content in contents.items():
+        for row in content["plants"]:
+            code = row.get("commit") or f"version {content['versions']['hframe_gym']}"
+            plants.setdefault((code, name), []).append(row["plant"])
+    entries: dict[tuple[str, tuple[int, ...]], list[str]] = {}
+    for (code, name), indices in sorted(plants.items()):
+        entries.setdefault((code, tuple(sorted(indices))), []).append(name)
+    return [
+        {"code": code, "plants": list(indices), "entries": names}
+        for (code, indices), names in entries.items()
+    ]
 
 
 def _plants(files: Files) -> list[dict[str, Any]]:

@@ -34,6 +34,7 @@ from hframe_gym.recordings import save_machine
 from tests.reference_simulator import Array, Rig, simulate
 from tests.rigs.random_effects import draw_effect
 from tests.rigs.random_rigs import Residue
+from tools.tables.gap import gap_scored_by
 
 REACH = Reach()
 CIRCLE = Track(path="circle", size=0.05, speed=0.3)
@@ -428,6 +429,23 @@ def test_seeds_of_an_agent_are_one_entry() -> None:
     assert (best["learned"], best["other"], best["plants"]) == ("apg_mix", "pid", 2)
     assert best["better"] == best["clearly_better"] == 2
     assert best["ratio"][0] == pytest.approx(0.35 / 0.45)
+
+
+def test_the_summary_says_which_code_scored_which_plants() -> None:
+    contents = {name: _content(name, [[0.4]] * 3) for name in ("ppo_mix-seed0", "ppo_mix-seed1", "pid")}
+    for name, content in contents.items():
+        for row in content["plants"][1:]:
+            row["commit"] = "5f2c8c82" if name != "pid" else "83a03865"
+    summary = summarize(contents)
+    old = f"version {contents['pid']['versions']['hframe_gym']}"
+    assert summary["scored_by"] == [
+        {"code": "5f2c8c82", "plants": [1, 2], "entries": ["ppo_mix-seed0", "ppo_mix-seed1"]},
+        {"code": "83a03865", "plants": [1, 2], "entries": ["pid"]},
+        {"code": old, "plants": [0], "entries": ["pid", "ppo_mix-seed0", "ppo_mix-seed1"]},
+    ]
+    lines = gap_scored_by(summary).splitlines()
+    assert lines[2] == "| 5f2c8c82 | `ppo_mix` (seeds 0, 1) | 1, 2 |"
+    assert lines[4] == f"| {old} | `pid`, `ppo_mix` (seeds 0, 1) | 0 |"
 
 
 def test_a_model_is_compared_with_the_declared_one_by_seed() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 from tools.tables.result_tables import markdown, table, with_interval
@@ -63,6 +64,25 @@ def gap_steps(results: dict[str, Any]) -> str:
         title for part in ("moves", "circle", "square") for title in (f"{part}: better, worse", "ratio")
     ]
     return markdown(["entry, against its declared model", "plants", *titles], rows)
+
+
+@table("gap_scored_by", source="gap")
+def gap_scored_by(results: dict[str, Any]) -> str:
+    """Format which code scored which entries of gap-v1 on which plants; seeds of an agent are joined."""
+    rows = []
+    for row in results["scored_by"]:
+        seeds: dict[str, list[str]] = {}
+        for name in row["entries"]:
+            found = re.fullmatch(r"(.+)-seed(\d+)(.*)", name)
+            entry, seed = (f"{found[1]}{found[3]}", found[2]) if found else (name, "")
+            seeds.setdefault(entry, []).append(seed)
+        names = []
+        for entry, of_entry in seeds.items():
+            word = "seed" if len(of_entry) == 1 else "seeds"
+            names.append(f"`{entry}`" + (f" ({word} {', '.join(of_entry)})" if any(of_entry) else ""))
+        every = len(row["plants"]) == len(results["plants"])
+        rows.append([row["code"], ", ".join(names), "all" if every else ", ".join(map(str, row["plants"]))])
+    return markdown(["scored by", "entries", "plants"], rows, ":--")
 
 
 @table("gap_learned", source="gap")
