@@ -123,13 +123,13 @@ class Session:
         return machine
 
     def aside_command(self, *names: str) -> list[list[str]]:
-        """Return the command that sets aside what no longer belongs to what comes before it; nothing is deleted.
+        """Return the command that moves results of former inputs to a new folder of the session; nothing is deleted.
 
         Args:
             names: Files and folders of the session; those that do not exist are left out.
 
         Returns:
-            No command, or one: "mkdir", a new folder, and what is moved there.
+            One command, "mkdir", the new folder and what is moved there; none if nothing exists.
         """
         existing = [name for name in names if self.path(name).exists()]
         number = 1

@@ -36,11 +36,11 @@ def longest_delay(
 
 
 class DelayLine:
-    """Keep a history of ideal readings, one entry per integration step, for sensors with a delay.
+    """Keep a history of ideal measurements, one entry per integration step, for sensors with a delay.
 
     Args:
         machine: Machine with its sensors and their delays, which are effects.
-        blocks: Number of blocks of LANES environments.
+        blocks: Number of blocks; a block is LANES environments, which are integrated together.
         h: Integration step, s.
 
     Attributes:
@@ -56,29 +56,30 @@ class DelayLine:
         self.delays = np.zeros((blocks, sensors, LANES))
 
     def fill(self, index: Index, readings: LaneReadings) -> None:
-        """Fill the histories of k environments with their present readings, as if they had always been at rest."""
+        """Fill the histories of k environments with their present measurements, as if they had always been at rest."""
         block, lane = np.divmod(index, LANES)
         self._history[block, :, :, lane] = readings[block, :, lane][:, None]
 
     def record(self, readings: LaneReadings, step: int, first: int, last: int) -> None:
-        """Store the readings of blocks first to last - 1 after an integration step; overwrite the oldest stored ones.
+        """Store the measurements of the environments in blocks `first` to `last` - 1 after an integration step.
 
-        The number of the step is counted over all episodes and is the same for all environments.
+        They take the place of the oldest ones. The number of the step counts over all episodes and is the same for all
+        environments.
         """
         self._history[first:last, step % self._depth] = readings[first:last]
 
     def read(self, step: int, first: int, last: int, out: LaneReadings) -> None:
-        """Write the readings of blocks `first` to `last` - 1, delayed from the last recorded `step`, to `out`.
+        """Write the delayed measurements of the environments in blocks `first` to `last` - 1 to `out`.
 
-        The reading of a sensor with the delay T is that at the present time minus T, interpolated between the recorded
-        ones. For times before the start of the episode, it is the reading at the start.
+        A sensor with the delay T measures what was there T before the last recorded `step`, interpolated between the
+        recorded values; before the start of the episode, what was there at its start.
         """
         _interpolate(self._history, self.delays, self._h, step, first, last, out)
 
 
 @compiled
 def _interpolate(history: Any, delays: Any, h: float, step: int, first: int, last: int, out: Any) -> None:
-    """Write readings at time step * h - delay by a parabola through the three nearest records, to out."""
+    """Write measurements at time step * h - delay by a parabola through the three nearest records, to out."""
     depth = history.shape[1]
     for block in range(first, last):
         for j in range(out.shape[1]):

@@ -147,7 +147,7 @@ class Variant:
         return self.units.get(name, self.units.get(quantity.unit, quantity.unit))
 
     def field(self, name: str) -> str:
-        """Return the name of an attribute in machine.json."""
+        """Return the name that an attribute of the class has in machine.json."""
         return self.fields.get(name, name)
 
     def own(self, component: type[Component]) -> dict[str, Attribute]:

@@ -143,7 +143,7 @@ class PreparedRecording:
 
     @cached_property
     def fit_scales(self) -> Array:
-        """What makes an error of each measurement a residual of a fit: sqrt(weight) / noise, shape (n, sensors)."""
+        """Factors that make errors of measurements residuals of a fit, sqrt(weight) / noise, shape (n, sensors)."""
         return np.asarray(np.sqrt(self.weights) / self.noise)
 
     def first_rows(self, count: int) -> PreparedRecording:

@@ -134,15 +134,15 @@ class ReverseTrace(Trace):
         return tuple(_EXPANDED[formula](*operands))
 
     def read(self, array: str, row: int) -> Expression:
-        """Return the expression that loads a row of an array of derivatives, of which nothing is differentiated."""
+        """Return the expression that loads a row of an array of derivatives; it is not differentiated itself."""
         return super().load(array, row, "")
 
     def write(self, array: str, row: int, value: Expression) -> None:
-        """Append a statement that writes derivatives to a row of an array, an argument of the function."""
+        """Append to the generated function: write a value to a row of one of its arguments, an array of derivatives."""
         super().store(array, row, value)
 
     def add_to(self, array: str, row: int, value: Expression) -> None:
-        """Append a statement that adds derivatives to a row of an array, an argument of the function."""
+        """Append to the generated function: add a value to a row of one of its arguments, an array of derivatives."""
         super().store(array, row, self.read(array, row) + value)
 
     @override

@@ -153,7 +153,7 @@ def nearest_effects(report: Report) -> list[str]:
 
 
 def unfinished_search(report: Report) -> list[str]:
-    """Return a sentence about a search that ended early."""
+    """Return a sentence that says why the search ended early; none if it is complete."""
     unfinished = report.unfinished
     return [f"The search is not complete: {unfinished.reason} ({unfinished.stage})."] if unfinished else []
 
