@@ -13,6 +13,7 @@ from ..preparation.criteria import SaturationCriteria
 from ..preparation.dataset import runs_that_should_move, turns_steadily
 from ..preparation.division import copied_runs
 from ..preparation.initial_rest import InitialRest, without_moving_start
+from ..preparation.regular_clock import with_regular_clock
 from ..preparation.sensor_noise import noise_at_rest
 from ..preparation.session import prepare_within_ranges
 from ..preparation.usable import usable_run
@@ -138,8 +139,9 @@ def _faults_and_advice(
     """
     findings = slow_sensors([without_wraps(recording, machine) for recording in recordings], machine)
     for recording in recordings:
-        findings += check_sampling(recording) + _wraps(recording, machine)
         continuous = without_wraps(recording, machine)
+        regular, jitter_s = with_regular_clock(continuous, machine)
+        findings += check_sampling(regular, jitter_s) + _wraps(recording, machine)
         distinct = without_repetitions(continuous)
         plausible = without_outliers(distinct, machine)
         findings += _outliers(distinct, plausible, machine) + _silences(plausible, machine)

@@ -69,8 +69,12 @@ def times_in_milliseconds(recordings: Sequence[Recording]) -> list[Finding]:
     ]
 
 
-def check_sampling(recording: Recording) -> list[Finding]:
+def check_sampling(recording: Recording, stamp_jitter: float = 0.0) -> list[Finding]:
     """Check number of rows, gaps, duration and jitter of the sample times of one run.
+
+    Args:
+        recording: Run with the times that identification uses.
+        stamp_jitter: Standard deviation of the logged stamps around these times, s, where equal steps replace them.
 
     Returns:
         Findings (severity, run, channel, message). Fewer rows than identification needs (20) are a fault. Lost samples,
@@ -121,6 +125,12 @@ def check_sampling(recording: Recording) -> list[Finding]:
         severity: Severity = "advice" if jitter > _IRREGULAR * period else "note"
         message = f"sampling is irregular, {1e3 * period:.4g} ms with a jitter of {1e3 * jitter:.2g} ms"
         findings.append(Finding(severity, recording.name, "time_s", message))
+    if stamp_jitter:
+        message = (
+            f"the stamps jitter by {1e3 * stamp_jitter:.2g} ms, but the motion was sampled in equal steps of "
+            f"{1e3 * period:.4g} ms; these replace the stamps"
+        )
+        findings.append(Finding("note", recording.name, "time_s", message))
     return findings
 
 

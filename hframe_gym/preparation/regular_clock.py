@@ -8,6 +8,7 @@ measurements tell which times are true: those at which their fifth differences a
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +24,9 @@ _ROUGHER = 2.0
 _FAST = 75.0  # percentile of the speed beyond which errors of the times show
 # Sampling periods; stamps that are farther from equal steps have another cause, such as a slow clock.
 _FARTHEST = 0.5
+_LONGEST_ROUNDED = (
+    2.0  # periods; a longer step between rounded stamps, which err by half a period each, has lost rows
+)
 
 
 class RegularClock(NamedTuple):
@@ -47,34 +51,43 @@ def with_regular_clock(recording: Recording, machine: Machine) -> tuple[Recordin
         Copy with other times, s, shape (n,), or the same object; and the standard deviation of the stamps, s, 0 if they
         are kept.
     """
-    regular = _equal_steps(recording.time_s)
-    if regular is None:
-        return recording, 0.0
-    ratios = [
-        _roughness_ratio(recording.time_s, regular.time_s, values)
+    positions = [
+        values
         for values, sensor in zip(recording.outputs.T, machine.sensors, strict=True)
         if sensor.of_position
     ]
-    # Sensors agree: none may be as much smoother at the stamps.
-    if not ratios or max(ratios) < _ROUGHER or min(ratios) < 1.0 / _ROUGHER:
+    smoothest, clock = _ROUGHER, None
+    for regular in _possible_clocks(recording.time_s):
+        ratios = [_roughness_ratio(recording.time_s, regular.time_s, values) for values in positions]
+        # Sensors agree: none may be as much smoother at the stamps.
+        if ratios and max(ratios) >= smoothest and min(ratios) >= 1.0 / _ROUGHER:
+            smoothest, clock = max(ratios), regular
+    if clock is None:
         return recording, 0.0
-    return dataclasses.replace(recording, time_s=regular.time_s), regular.jitter_s
+    return dataclasses.replace(recording, time_s=clock.time_s), clock.jitter_s
 
 
-def _equal_steps(time_s: Array) -> RegularClock | None:
-    """Return equal steps through the stamps, with gaps of whole steps; None if the stamps are no such steps."""
+def _possible_clocks(time_s: Array) -> Iterator[RegularClock]:
+    """Yield equal steps through the stamps, with gaps of whole steps, if the stamps are near such steps.
+
+    A step of 2 ms among steps of 1 ms is a missing row, or the clock counts milliseconds and the period is longer than
+    one. Both are possible.
+    """
     if len(time_s) < MIN_JITTER_ROWS:
-        return None
+        return
     steps = np.diff(time_s)
-    numbers = np.concatenate([[0.0], np.cumsum(np.rint(steps / np.median(steps)))])
-    if not np.all(np.diff(numbers) >= 1.0):
-        return None
-    period, first = np.polyfit(numbers, time_s - time_s[0], 1)
-    regular = time_s[0] + first + period * numbers
-    errors = time_s - regular
-    if np.abs(errors).max() > _FARTHEST * period:
-        return None
-    return RegularClock(regular, float(errors.std()))
+    rounded = np.rint(steps / np.median(steps))
+    mean = float(steps[steps <= _LONGEST_ROUNDED * np.median(steps)].mean())
+    none_missing = np.where(steps <= _LONGEST_ROUNDED * mean, 1.0, np.rint(steps / mean))
+    for step_numbers in (rounded, none_missing):
+        if not np.all(step_numbers >= 1.0):
+            continue
+        numbers = np.concatenate([[0.0], np.cumsum(step_numbers)])
+        period, first = np.polyfit(numbers, time_s - time_s[0], 1)
+        regular = time_s[0] + first + period * numbers
+        errors = time_s - regular
+        if np.abs(errors).max() <= _FARTHEST * period:
+            yield RegularClock(regular, float(errors.std()))
 
 
 def _roughness_ratio(stamps: Array, regular: Array, values: Array) -> float:

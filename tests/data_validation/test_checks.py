@@ -226,7 +226,12 @@ def test_dropped_samples_are_reported(
 def test_jitter_of_a_few_percent_is_a_note_and_more_is_advice(runs: list[Recording], hframe: Machine) -> None:
     run = runs[0]
     jitter = np.random.default_rng(0).uniform(-1e-4, 1e-4, len(run.time_s))
-    jittered = [dataclasses.replace(run, time_s=run.time_s + factor * jitter) for factor in (0.5, 1.0, 3.0)]
+
+    def sampled_at(times: np.ndarray) -> Recording:
+        outputs = np.column_stack([np.interp(times, run.time_s, values) for values in run.outputs.T])
+        return dataclasses.replace(run, time_s=times, outputs=outputs)
+
+    jittered = [sampled_at(run.time_s + factor * jitter) for factor in (0.5, 1.0, 3.0)]
     found = [[f for f in check_recordings([r], hframe) if "irregular" in f.message] for r in jittered]
     assert [f[0].severity for f in found] == ["note", "note", "advice"]
     assert found[1][0].message == "sampling is irregular, 0.9964 ms with a jitter of 0.085 ms"
@@ -380,6 +385,19 @@ def test_late_time_stamps_are_not_lost_rows(runs: list[Recording]) -> None:
     [finding] = check_sampling(dataclasses.replace(run, time_s=run.time_s + late))
     assert "no row is missing" in finding.message
     assert "--map time_s=1000Hz" in finding.message
+
+
+def test_stamps_in_whole_milliseconds_are_neither_gaps_nor_irregular(
+    runs: list[Recording], hframe: Machine
+) -> None:
+    """The motion shows a period of 1.2 ms; steps of 2 ms between the stamps are no missing rows."""
+    run = runs[0]
+    times = 1.2e-3 * np.arange(len(run.time_s))
+    stamped = dataclasses.replace(run, time_s=1e-3 * np.floor(1e3 * times + 1e-6))
+    messages = [f.message for f in check_recordings([stamped], hframe) if f.channel == "time_s"]
+    [replaced] = [message for message in messages if "stamps" in message]
+    assert "equal steps of 1.2 ms" in replaced
+    assert not any("dropped" in message or "irregular" in message for message in messages)
 
 
 @pytest.mark.parametrize("every", [4, 5, 10])

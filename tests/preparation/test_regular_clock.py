@@ -42,6 +42,21 @@ def test_stamps_that_jitter_become_equal_steps(late: Array) -> None:
     assert np.array_equal(regular.outputs, stamped.outputs)
 
 
+@pytest.mark.parametrize("period", [1.2e-3, 1.5e-3, 5e-3 / 3.0, 2.5e-3])
+def test_stamps_in_whole_milliseconds_become_the_steps_of_the_controller(period: float) -> None:
+    sampled = moving(period * np.arange(ROWS))
+    stamped = dataclasses.replace(sampled, time_s=1e-3 * np.floor(1e3 * sampled.time_s + 1e-6))
+    regular, _ = with_regular_clock(stamped, AXIS)
+    assert np.diff(regular.time_s) == pytest.approx(period, rel=1e-3)
+
+
+def test_a_row_that_is_missing_among_steps_of_a_millisecond_leaves_its_gap() -> None:
+    sampled = moving(1e-3 * np.arange(ROWS))
+    kept = np.delete(np.arange(ROWS), [100, 250, 400])
+    run = Recording("run", sampled.time_s[kept], sampled.inputs[kept], sampled.outputs[kept])
+    assert with_regular_clock(run, AXIS)[0].time_s == pytest.approx(run.time_s, abs=1e-6)
+
+
 def test_rows_that_are_missing_leave_whole_steps(late: Array) -> None:
     sampled = moving(PERIOD * np.arange(ROWS))
     kept = np.r_[0:300, 312:ROWS]

@@ -397,8 +397,11 @@ def _clock_remarks(time_s: Array) -> list[str]:
     steps = np.diff(time_s)
     if len(steps) == 0:
         return [f"{len(time_s)} row"]
-    period, usual = float(np.median(steps)), usual_step(time_s)
-    rate = f"{1 / period:.4g} Hz" if usual == period else f"irregular times, up to {1e3 * usual:.3g} ms apart"
+    median, usual = float(np.median(steps)), usual_step(time_s)
+    period = float(
+        np.mean(steps[missing_rows(time_s) == 0])
+    )  # of stamps in whole ms, the median is a whole number
+    rate = f"{1 / period:.4g} Hz" if usual == median else f"irregular times, up to {1e3 * usual:.3g} ms apart"
     remarks = [f"{len(time_s)} rows, {time_s[-1] - time_s[0]:.4g} s at {rate}"]
     gaps = np.flatnonzero(missing_rows(time_s))
     if len(gaps):
