@@ -75,9 +75,8 @@ def check_state_units(observation: KeyedObservation, model: MotionModel) -> None
 def check_goal_units(observation: KeyedObservation, machine: Machine) -> None:
     """Check that the goals of an observation are in m or rad and not normalized: they lie in the machine's workspace.
 
-    A real axis may overshoot its workspace, so that a position may be outside it by up to half its length, and one that
-    is larger than any normalized position tells nothing. Only observations of environments, which have
-    `achieved_goal`, are checked.
+    A real axis may overshoot its workspace: a position may be outside it by up to half its length, and one that no
+    normalization gives is not judged. Only observations of environments, which have `achieved_goal`, are checked.
 
     Raises:
         InputError: If a goal is outside the workspace, or a position is as if it were normalized.

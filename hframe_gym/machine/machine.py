@@ -87,7 +87,7 @@ class Machine:
 
     @cached_property
     def input_channels(self) -> tuple[str, ...]:
-        """Names of the voltage channels, in the order of the drives."""
+        """Names of the channels of the drives' commands, such as voltages, in the order of the drives."""
         return tuple(d.channel for d in self.drives)
 
     @cached_property
@@ -354,7 +354,7 @@ class Machine:
         }
 
     def variant(self, component: Component) -> Variant:
-        """Return what follows from the kind of a component of this machine: units, and attributes that it lacks."""
+        """Return what the kind of a component, such as "rotary", changes: units, and attributes that it lacks."""
         if isinstance(component, Coordinate):
             return Coordinate.variant(component.kind)
         if isinstance(component, Drive):

@@ -80,14 +80,15 @@ def answers_measurements(values: Array, outputs: Array) -> bool:
 
 
 def noisy_inputs(recording: Recording, machine: Machine) -> list[int]:
-    """Return which inputs were measured with much noise: currents and torques that change like noise of their own.
+    """Return which inputs were measured with much noise: currents and torques that vary like noise.
 
     Args:
         recording: Run (times, s; inputs in the units of the drives' channels).
         machine: Machine with its input channels.
 
     Returns:
-        Indices of the inputs whose noise is above 5 % of their root mean square and answers no measurement.
+        Indices of the inputs whose noise is above 5 % of their root mean square, and is not a controller's answer to
+            the measurements.
     """
     found = []
     for j, (channel, values) in enumerate(zip(machine.input_channels, recording.inputs.T, strict=True)):

@@ -56,7 +56,7 @@ class ParameterRatios:
         self._declared = np.array(list(machine.parameters.values()))
 
     def parameters(self, logarithms: Array) -> ParameterRows:
-        """Compute parameter values from logarithms of their ratios to the declared values, which others keep.
+        """Compute all parameters; those that are estimated are the declared values times exp(logarithm).
 
         Args:
             logarithms: Natural logarithms of the ratios of the k estimated parameters, shape (B, k).
