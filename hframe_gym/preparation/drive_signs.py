@@ -3,7 +3,9 @@
 The command of a motor with swapped wires, or of a bridge that is mounted the other way round, moves its coordinate
 backwards. The balance of forces tells (`force_balance`): with positive inertia and friction, and any spring, weight
 and offset, no machine explains such a motion, and it does if the sensors count the other way. The rule is that of
-`hframe check`.
+`hframe check`, applied to the changes of the forces over the session, so that it also holds for a drive that holds a
+load. Changes do not tell swapped channels, which `hframe check` finds as well: a force that hardly changes may seem to
+follow the motion of another coordinate.
 """
 
 from __future__ import annotations
@@ -40,16 +42,16 @@ def turned_coordinates(machine: Machine, runs: Sequence[PreparedRecording]) -> t
     for span in SPANS:  # short windows see fast motion, long ones suppress noise
         windows = [motion_windows(run, comparison_window(run.outputs, run.time_s, span)) for run in runs]
         declared = force_balance(windows, machine, np.eye(len(machine.sensors)), of_inputs)
-        if declared is None or declared.unexplained < EXPLAINED:
+        if declared is None or declared.of_changes < EXPLAINED:
             return ()
         left: dict[tuple[str, ...], float] = {}
         for count in range(1, len(driven) + 1):
             for names in combinations(driven, count):
                 signs = np.diag([-1.0 if _counts(machine, s, names) else 1.0 for s in machine.sensors])
                 balance = force_balance(windows, machine, signs, of_inputs)
-                left[names] = np.inf if balance is None else balance.unexplained
+                left[names] = np.inf if balance is None else balance.of_changes
         best = min(left, key=lambda names: left[names])
-        if left[best] < EXPLAINED and explains_instead(left[best], declared.unexplained):
+        if left[best] < EXPLAINED and explains_instead(left[best], declared.of_changes):
             return best
     return ()
 

@@ -19,15 +19,23 @@ from hframe_gym.recordings import Recording, load_machine
 PENDULUM = load_machine("pendulum")
 
 
-def measure(machine: Machine, volts_per_unit: float = 1.0, runs: int = 2) -> list[Recording]:
-    """Simulate steps of the command from rest, and record them multiplied by a factor."""
+def measure(
+    machine: Machine,
+    volts_per_unit: float = 1.0,
+    runs: int = 2,
+    *,
+    holding_v: float = 0.0,
+    steps: float = 0.3,
+) -> list[Recording]:
+    """Simulate steps of the command from rest about a voltage, and record them multiplied by a factor."""
     time_s = np.arange(0.0, 3.0, 2e-3)
     recordings = []
     for seed in range(runs):
         rng = np.random.default_rng(seed)
-        steps = rng.uniform(-0.3, 0.3, (len(time_s) // 150 + 1, len(machine.drives)))
-        volts = 12.0 * np.repeat(steps, 150, axis=0)[: len(time_s)]
+        levels = rng.uniform(-steps, steps, (len(time_s) // 150 + 1, len(machine.drives)))
+        volts = 12.0 * np.repeat(levels, 150, axis=0)[: len(time_s)]
         volts[:100] = 0.0
+        volts += holding_v
         motion = machine.simulate(time_s, volts)
         quanta = np.array([s.resolution for s in machine.sensors])
         noise = np.array([s.noise for s in machine.sensors]) * rng.normal(size=motion.outputs.shape)
@@ -58,6 +66,18 @@ def test_neither_an_undeclared_weight_nor_a_spring_passes_for_a_direction() -> N
     axis = BUILTIN_MACHINES["axis"]()
     sprung = axis.with_effects(EFFECTS["cable_spring"].at("x", k=400.0, q0=0.0))
     assert found(axis, measure(sprung)) == ()
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_load_that_the_drive_holds_tells_no_direction(sign: float) -> None:
+    """A vertical axis: nine tenths of the force hold the load, which an offset explains with either sign."""
+    axis = BUILTIN_MACHINES["axis"]()
+    (drive,) = axis.drives
+    loaded = axis.with_effects(EFFECTS["constant_force"].at("x", size=-9.0 * drive.gain))
+    held = [
+        dataclasses.replace(r, inputs=sign * r.inputs) for r in measure(loaded, holding_v=9.0, steps=0.08)
+    ]
+    assert found(axis, held) == (("x",) if sign < 0.0 else ())
 
 
 def test_of_two_axes_the_one_that_turns_is_named() -> None:
