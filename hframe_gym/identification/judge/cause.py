@@ -10,6 +10,7 @@ MINIMUM_DEPENDENCE = 0.05
 # Relative error of the variance that noise is expected to cause; less beyond noise is uncertain.
 NOISE_ERROR = 0.5
 # A special variable comes before a plain one if it explains clearly more: the age of a contact follows from its speed.
+# So does a plain one before a constant, which its curve contains.
 SPECIAL_PREFERENCE = 0.95
 
 
@@ -33,6 +34,7 @@ class CauseEvidence:
         fraction: Fraction beyond noise that it explains of all pieces.
         beyond_noise: Sum of squares beyond noise.
         plain: Whether the variable is a position, a velocity or a current.
+        constant: Whether it is a force that depends on no variable.
     """
 
     explained: float
@@ -40,6 +42,7 @@ class CauseEvidence:
     fraction: float
     beyond_noise: float
     plain: bool
+    constant: bool = False
 
 
 def is_cause(evidence: CauseEvidence) -> bool:
@@ -49,13 +52,16 @@ def is_cause(evidence: CauseEvidence) -> bool:
 
 
 def rank_of_cause(evidence: CauseEvidence, total: float) -> float:
-    """Return by what causes are sorted: the fraction that they explain for certain, plain variables preferred.
+    """Return by what causes are sorted: the fraction that they explain for certain, the plainer ones preferred.
 
     Args:
         evidence: What the variable explains.
         total: Sum of squares, noise included, dimensionless.
     """
-    return (1.0 if evidence.plain else SPECIAL_PREFERENCE) * evidence.certain / total
+    explained = evidence.certain / total
+    if evidence.constant:
+        return explained / SPECIAL_PREFERENCE
+    return explained if evidence.plain else SPECIAL_PREFERENCE * explained
 
 
 def names_causes(matches: Sequence[Sequence[bool]]) -> bool:

@@ -22,6 +22,7 @@ from ...machine import Machine
 from ..forces.motion_variables import smooth_sign
 from .cause_comparison import Cause, CauseComparison, Columns, Signals
 
+CONSTANT = "constant"  # in the place of a variable: a force that depends on nothing
 _KNOTS, _KNOTS_OF_FRICTION = 13, 6  # of a curve; of one that is multiplied by the direction of motion
 # A force that is periodic in the position has this frequency, Hz, at most in slow motion: what is compared is below 30.
 _HIGHEST_HZ = 25.0
@@ -65,7 +66,7 @@ def causes_of_force(
 
 
 def _causes_on_coordinate(machine: Machine, comparison: CauseComparison, i: int) -> Iterator[Cause]:
-    """Yield causes that act on coordinate i: forces, friction that varies, and a resonance."""
+    """Yield causes that act on coordinate i: forces, a constant one first, friction that varies, and a resonance."""
     signals, name = comparison.signals, machine.coordinate_names[i]
     position, velocity, acceleration = (
         f"{what} of {name}" for what in ("position", "velocity", "acceleration")
@@ -75,6 +76,7 @@ def _causes_on_coordinate(machine: Machine, comparison: CauseComparison, i: int)
         return Cause(name, variable, name, ((i, columns),))
 
     sign = smooth_sign(signals[velocity])[:, None]
+    yield on(CONSTANT, np.ones_like(sign))
     for variable in (position, velocity):
         yield on(variable, _curve(signals[variable], _KNOTS))
     for factor in (np.ones_like(sign), sign):  # a force, and friction

@@ -23,7 +23,7 @@ from ..forces.motion_variables import smooth_sign
 from ..judge import cause as judge
 from ..predict.free_parameters import typical_force
 from .cause_comparison import Cause, CauseComparison, Signals, Unexplained
-from .causes import causes_of_disagreement, causes_of_force
+from .causes import CONSTANT, causes_of_disagreement, causes_of_force
 
 # Fraction of the typical force; a smaller missing force is a rounding error, as on an axis at rest.
 _ROUNDING_FORCE = 1e-9
@@ -36,7 +36,7 @@ class Dependence(NamedTuple):
     """Dependence of the force residual on a variable.
 
     Attributes:
-        variable: Name of the variable, e.g. "velocity of x".
+        variable: Name of the variable, e.g. "velocity of x"; `CONSTANT` for a force that depends on nothing.
         coordinate: Coordinate on which the force acts.
         explained: Fraction of the variance beyond noise, of the residual force or of the disagreement of the sensors,
             that the variable explains in runs to which the curve was not fitted, in [0, 1].
@@ -105,7 +105,8 @@ def _ranked(comparison: CauseComparison, causes: Iterable[Cause]) -> list[tuple[
     ranked = []
     for cause in causes:
         plain = cause.variable.startswith(_PLAIN)
-        found = judge.CauseEvidence(*comparison.explained(cause), comparison.beyond_noise, plain)
+        constant = cause.variable == CONSTANT
+        found = judge.CauseEvidence(*comparison.explained(cause), comparison.beyond_noise, plain, constant)
         if judge.is_cause(found):
             dependence = Dependence(cause.variable, cause.coordinate, found.fraction, cause.component)
             ranked.append((judge.rank_of_cause(found, comparison.total), dependence))
@@ -150,7 +151,7 @@ def agree_with_causes(
     """Return whether effects act where the missing force comes from, which `rank_dependences` found without formulas.
 
     An effect agrees with a cause if it acts on the same component, and its formula depends on the same kind of
-    variable. An effect of a sensor agrees with none: belts that slip imitate a wrong scale, and a true error of a
+    variable, or on none if the cause is a constant force. An effect of a sensor agrees with none: belts that slip imitate a wrong scale, and a true error of a
     sensor leaves no missing force.
 
     Args:
@@ -185,7 +186,10 @@ def _is_cause(
         return False
     if not hooks.keys() & {"force", *_FRICTION_HOOKS}:
         return True
-    kinds = {_VARIABLES[name] for f in hooks.values() for name in argument_names(f) if name in _VARIABLES}
+    arguments = {name for f in hooks.values() for name in argument_names(f)}
+    if arguments <= {p.name for p in definition.parameters}:
+        return cause.variable == CONSTANT
+    kinds = {_VARIABLES[name] for name in arguments if name in _VARIABLES}
     if hooks.keys() & set(_FRICTION_HOOKS):
         kinds.add("velocity")
     return cause.variable.partition(" of ")[0] in kinds

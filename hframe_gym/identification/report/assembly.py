@@ -20,6 +20,7 @@ from ..fit.start_estimation import refine_dataset
 from ..forces.force_sizes import drive_force, effect_force
 from ..judge.verdict import final_verdict
 from ..predict.voltage_errors import simulation_error
+from ..propose.causes import CONSTANT
 from ..propose.dependences import Dependence, rank_dependences
 from ..search.checked_search import CheckedOutcome
 from ..validate.simpler_machines import Delivered
@@ -84,7 +85,7 @@ def build_result(
         sizes={s.effect.label: effect_force(corrected, s.effect, data) / force_of_drives for s in selected},
         dependence=()
         if differences.explain
-        else tuple(rank_dependences(before.machine, part)[:_MAX_DEPENDENCES]),
+        else _dependences_on_variables(before.machine, part),
         white=bool(white_sensors(corrected, held_out).all()),
         fitted=data,
         held_out=held_out,
@@ -105,6 +106,12 @@ def build_result(
         unstable=unstable,
     )
     return dataclasses.replace(result, hint=_hint(result))
+
+
+def _dependences_on_variables(machine: Machine, data: Dataset) -> tuple[Dependence, ...]:
+    """Return the variables on which the missing force depends; a constant force is a part of their curves."""
+    ranked = rank_dependences(machine, data)
+    return tuple([d for d in ranked if d.variable != CONSTANT][:_MAX_DEPENDENCES])
 
 
 def _unknown_voltages(machine: Machine, held_out: Dataset, fitted: Fit) -> UnknownVoltages | None:

@@ -73,6 +73,7 @@ def excited_runs(machine: Machine, *, noise: float = 1.0, count: int = 2) -> lis
         (EFFECTS["quadratic_drag"].at("x", c=20.0), "x", "velocity of x"),
         (EFFECTS["quadratic_drag"].at("y", c=20.0), "y", "velocity of y"),
         (EFFECTS["cogging"].at("motor1", A=0.01, n=3.0, p=0.0), "phi1", "position of phi1"),
+        (EFFECTS["constant_force"].at("y", size=2.0), "y", "constant"),
     ],
 )
 def test_the_coordinate_on_which_a_force_acts_is_named(

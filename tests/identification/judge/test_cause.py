@@ -19,10 +19,12 @@ def test_a_variable_is_a_cause_from_a_twentieth_on(
     assert cause.is_cause(evidence) == counts
 
 
-def test_a_special_variable_must_explain_clearly_more() -> None:
+def test_what_is_less_plain_must_explain_clearly_more() -> None:
     plain, special = (CauseEvidence(50.0, 40.0, 0.5, 100.0, plain=plain) for plain in (True, False))
     assert cause.rank_of_cause(plain, 100.0) == pytest.approx(0.4)
     assert cause.rank_of_cause(special, 100.0) == pytest.approx(0.38)
+    constant = CauseEvidence(50.0, 40.0, 0.5, 100.0, plain=False, constant=True)
+    assert cause.rank_of_cause(constant, 100.0) == pytest.approx(0.421, abs=0.001)
     assert cause.beyond_noise(100.0, 20.0) == 80.0
     assert cause.beyond_noise(25.0, 20.0) == 10.0
 

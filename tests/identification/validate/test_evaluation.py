@@ -282,6 +282,11 @@ def test_without_its_names_the_refitted_machine_is_judged(
         (["current_limit@drives"], [("drives", "current of drives")], True),
         (["current_limit@drives", "load_friction@motor1"], [("drives", "current of drives")], False),
         (["cogging@motor1"], [("phi1", "position of phi1")], True),
+        (["constant_force@x"], [("x", "constant")], True),
+        (["constant_force@x"], [("x", "position of x")], False),
+        (["constant_force@x"], [("phi1", "constant")], False),
+        (["cogging@motor1"], [("phi1", "constant")], False),
+        (["cogging@motor1", "constant_force@x"], [("phi1", "position of phi1"), ("x", "constant")], True),
         (["sensor_scale@phi1_rad"], [("phi1_rad", "position of phi1")], False),  # belts that slip imitate it
         (["stribeck_friction@x"], [], False),
         ([], [("x", "velocity of x")], False),
