@@ -39,7 +39,6 @@ class SearchEffort(SaturationCriteria):
             possible rivals are fitted as well.
         structural_remainder: Structural candidates are tried only if every other candidate leaves more than this
             fraction of the excess, because their simulations must first be compiled.
-        min_structural_excess: Smallest excess for which structural candidates are tried.
         structural_retry: If no effect was selected when structural candidates were last tried, they are tried again
             only after chi-squared per sample - 1 has fallen below this fraction of its value then.
         max_screened_tables: Number of screened tables that are cross-validated.
@@ -61,7 +60,6 @@ class SearchEffort(SaturationCriteria):
     linear_gain_ratio: float = 0.6
     rival_remainder: float = 0.2
     structural_remainder: float = 0.5
-    min_structural_excess: float = 0.05
     structural_retry: float = 0.67
     max_screened_tables: int = 6
     max_tables_per_coordinate: int = 3

@@ -110,11 +110,12 @@ class StructureEvidence:
 def is_worth_structures(evidence: StructureEvidence, criteria: SelectionCriteria) -> bool:
     """Return whether effects that replace a part of the model are tried: the others leave much of the error.
 
-    Their simulations must first be compiled. After a trial in vain, the error must have become clearly smaller.
+    Their simulations must first be compiled. After a trial in vain, the error must have become clearly smaller. An
+    excess below the least gain of an effect is none of theirs either.
 
     Args:
         evidence: The present errors, and those at the last trial.
-        criteria: Decision thresholds `structural_retry`, `structural_remainder` and `min_structural_excess`.
+        criteria: Decision thresholds `structural_retry`, `structural_remainder` and `min_gain`.
     """
     error = evidence.error
     if (
@@ -125,7 +126,7 @@ def is_worth_structures(evidence: StructureEvidence, criteria: SelectionCriteria
     if evidence.best_remembers:
         return True
     left = unexplained_fraction(error, evidence.best)
-    return left > criteria.structural_remainder and error.excess > criteria.min_structural_excess
+    return left > criteria.structural_remainder and error.excess > criteria.min_gain
 
 
 def is_worth_convergence(

@@ -49,7 +49,6 @@ CALIBRATED = SelectionCriteria(
     linear_gain_ratio=0.6,
     rival_remainder=0.2,
     structural_remainder=0.5,
-    min_structural_excess=0.05,
     structural_retry=0.67,
     max_screened_tables=6,
     max_tables_per_coordinate=3,
