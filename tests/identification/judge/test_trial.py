@@ -77,9 +77,10 @@ def test_the_least_promise_of_a_structure(useful: float, least: float) -> None:
     [
         (1.06, 0.0, 0.51, True),
         (1.06, 0.0, 0.49, False),
-        (1.04, 0.0, 0.51, False),
-        (1.14, 60.0, 0.51, False),  # with the widest observer, an exact machine leaves 1.1
-        (1.16, 60.0, 0.51, True),
+        (1.013, 0.0, 0.51, True),  # a bridge that yaws by 13 % of the largest one, beside a late laser
+        (1.009, 0.0, 0.51, False),
+        (1.109, 60.0, 0.51, False),  # with the widest observer, an exact machine leaves 1.1
+        (1.111, 60.0, 0.51, True),
         (1.06, 30.0, 0.51, True),
     ],
 )
