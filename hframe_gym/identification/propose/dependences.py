@@ -151,8 +151,8 @@ def agree_with_causes(
     """Return whether effects act where the missing force comes from, which `rank_dependences` found without formulas.
 
     An effect agrees with a cause if it acts on the same component, and its formula depends on the same kind of
-    variable, or on none if the cause is a constant force. An effect of a sensor agrees with none: belts that slip imitate a wrong scale, and a true error of a
-    sensor leaves no missing force.
+    variable, or on none if the cause is a constant force. An effect of a sensor agrees with none: belts that slip
+    imitate a wrong scale, and a true error of a sensor leaves no missing force.
 
     Args:
         effects: Effects that the search selected.

@@ -83,9 +83,7 @@ def build_result(
         gains={s.effect.label: held_out_gain(s, corrected, held_out, after.bandwidth) for s in selected},
         considered=tuple(_rejected(c, data, held_out, after.bandwidth) for c in outcome.considered),
         sizes={s.effect.label: effect_force(corrected, s.effect, data) / force_of_drives for s in selected},
-        dependence=()
-        if differences.explain
-        else _dependences_on_variables(before.machine, part),
+        dependence=() if differences.explain else _dependences_on_variables(before.machine, part),
         white=bool(white_sensors(corrected, held_out).all()),
         fitted=data,
         held_out=held_out,
