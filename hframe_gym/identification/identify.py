@@ -110,7 +110,7 @@ def identify(
     # file is delivered.
     certain = with_certain_effects(found.outcome, criteria, log)
     judgment = judged(tests.of(found.held_out).evaluate(certain), found.differing, log)
-    delivered = no_worse(judgment, found.plain, log, budget)
+    delivered = no_worse(judgment, found.plain, log, budget, differing=found.differing)
     if unstable := describe_unstable_motion(delivered.evaluated):
         log(unstable)
     outcome = delivered.evaluated.outcome

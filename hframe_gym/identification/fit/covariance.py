@@ -100,6 +100,8 @@ def with_uncertainty(
     if deviations is not None and len(deviations):
         between = deviations.T @ deviations / len(deviations)
     if fitted.covariance is not None:
+        if indicated_delay and fitted.change_by_delay is not None:
+            between += np.outer(fitted.change_by_delay, fitted.change_by_delay)
         return _with_covariance(fitted, fitted.covariance + between)
     data = data.with_observers(fitted.observers)
     directions = _directions(fitted, data, prior_precision(fitted.free))  # (k, k), one per column

@@ -62,6 +62,8 @@ class Fit:
         floor: Chi-squared per sample of an exact machine with this observer, dimensionless (`innovation_variance`).
         observers: Observers of the runs in the fit, by their name, if each run had another one; otherwise empty.
         covariance: Covariance of theta, shape (k, k), of a fit by instruments (`slow_logs`); None: of least squares.
+        change_by_delay: Change of theta by the delay of the inputs that the residual of a fit by instruments indicates,
+            shape (k,); None: of least squares.
     """
 
     machine: Machine
@@ -75,6 +77,7 @@ class Fit:
     floor: float = 1.0
     observers: Mapping[str, RunObserver] = field(default_factory=dict, repr=False)
     covariance: Array | None = field(default=None, repr=False)
+    change_by_delay: Array | None = field(default=None, repr=False)
 
     @property
     def chi2(self) -> float:

@@ -149,19 +149,21 @@ class _Equations(NamedTuple):
         step = -covariance @ (self.gradient + prior @ np.append(theta, 0.0))
         return ExcessDelay(float(step[-1]), math.sqrt(covariance[-1, -1]), theta)
 
-    def covariance(self, prior: Array, theta: Array) -> Array:
-        """Return the covariance of theta, shape (k - 1, k - 1), if the last parameter is the voltages' delay.
+    def covariance(self, prior: Array, theta: Array) -> tuple[Array, Array]:
+        """Return the covariance of theta, and the change of theta by the delay that the residual indicates.
 
-        Its parts are those of `covariance.with_uncertainty`: residual, prior and delay.
+        Their shapes are (k - 1, k - 1) and (k - 1,), if the last parameter is the voltages' delay. The parts of the
+        covariance are those of `covariance.with_uncertainty` without this change: residual, prior and times.
         """
         known = self.without_delay()
         white = np.asarray(np.linalg.inv(known.information + prior), np.float64)
         changes = known.scores @ white * student_widening(known.by_block, white)
         sandwich = changes.T @ changes + white @ prior @ white
         inflation = np.sqrt(np.maximum(np.diag(white) / np.diag(sandwich), 1.0))
-        of_delay = white @ self.information[:-1, -1]
-        variance = DELAY_STD**2 + self.delay(prior, theta).periods ** 2
-        return np.asarray(sandwich * np.outer(inflation, inflation) + variance * np.outer(of_delay, of_delay))
+        of_delay = np.asarray(white @ self.information[:-1, -1])
+        of_times = DELAY_STD**2 * np.outer(of_delay, of_delay)
+        covariance = np.asarray(sandwich * np.outer(inflation, inflation) + of_times)
+        return covariance, self.delay(prior, theta).periods * of_delay
 
 
 class _Estimate(NamedTuple):
@@ -475,6 +477,7 @@ def _finished(fitted: Fit, by_instruments: _Estimate, weight: float, data: Datas
     if equations is None:
         return fitted
     theta, machine = _between(fitted, by_instruments, weight)
+    covariance, by_delay = equations.covariance(prior_precision(fitted.free), by_instruments.theta)
     data = data.with_observers(fitted.observers)
     cost = prediction_cost(machine, data, fitted.bandwidth, longest_step=fitted.longest_step)
     floor = innovation_variance(machine, data, fitted.bandwidth)[0]
@@ -488,7 +491,8 @@ def _finished(fitted: Fit, by_instruments: _Estimate, weight: float, data: Datas
         count=data.count,
         floor=floor,
         information=equations.without_delay().information,
-        covariance=equations.covariance(prior_precision(fitted.free), by_instruments.theta),
+        covariance=covariance,
+        change_by_delay=by_delay,
     )
 
 

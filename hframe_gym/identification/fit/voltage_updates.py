@@ -16,22 +16,25 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...machine import Machine
+from ...effects import EFFECTS
+from ...machine import Effect, Machine, argument_names
 from ...preparation.dataset import Dataset
 from ..judge.criteria import SelectionCriteria
-from ..judge.error import required_gain
+from ..judge.error import is_enough, required_gain
 from ..judge.voltages import (
     UpdatesEvidence,
     another_rate_explains_more,
+    drives_delay_voltages,
     interpolation_suffices,
     may_change_between_rows,
     voltages_change_at_another_rate,
     voltages_change_between_rows,
 )
+from ..predict.free_parameters import FreeParameter
 from ..predict.prediction import SEARCH_BANDWIDTH, SIMULATION
 from ..predict.voltage_errors import expected_excess, simulation_error
 from .covariance import DELAY_STD
-from .estimation import Fit, prediction_costs
+from .estimation import Fit, fit, prediction_costs
 from .model_error import continue_fit, search_step
 from .slow_logs import ExcessDelay, excess_delay
 
@@ -41,6 +44,7 @@ _MOST_FURTHER_GAIN = 2.0
 # Changes a row: each acts late by half of what the one before does. Instruments count what lies between.
 _TRIALS = (2, 4, 8, 16)
 _FEWEST_UPDATES = 2  # a row; held voltages change once
+_DELAY_PRIOR = 10.0  # of a delay of the drives, in units of its scale: the runs determine it
 _MOST_UPDATES = 20  # a row; with more, voltages act earlier by less than a fortieth of a sampling period
 
 
@@ -113,6 +117,8 @@ def other_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> Vo
 
 def _counted_again(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> VoltageUpdates | None:
     """Return another number of changes of interpolated voltages that the error confirms, None if there is none."""
+    if _has_timing(fitted.machine):
+        return _counted_beside_delay(fitted, data, criteria)
     excess = excess_delay(fitted, data)
     if excess is None:
         return None
@@ -128,6 +134,14 @@ def _counted_again(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> V
     per_row = 1 if held_after_all else count_updates(fitted, data, excess)
     if at_end and not voltages_change_at_another_rate(0.5 / per_row - 0.5 / data.updates, deviation):
         return None
+    if clear and excess.periods > 0.0:
+        # With the same errors of the voltages, held ones included: these favor them.
+        fewer, delayed = (
+            continue_fit(fitted, data.with_updates(per_row), fitted.bandwidth),
+            _with_delay(fitted, data),
+        )
+        if drives_delay_voltages(fewer.error, delayed.error, criteria):
+            return _counted_beside_delay(delayed, data, criteria)
     # Held voltages are no interpolated ones, and have none of their errors.
     known = data if per_row > 1 else data.without_voltage_errors()
     bandwidth = fitted.bandwidth if per_row > 1 else SEARCH_BANDWIDTH
@@ -138,6 +152,94 @@ def _counted_again(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> V
         return None
     held = counted if per_row == 1 else continue_fit(fitted, data.with_held_voltages(), SEARCH_BANDWIDTH)
     return VoltageUpdates(per_row, held.chi2, counted.chi2)
+
+
+def _counted_beside_delay(delayed: Fit, data: Dataset, criteria: SelectionCriteria) -> VoltageUpdates | None:
+    """Return another number of changes that explains more beside a delay or lag of the drives, None if there is none.
+
+    Such an effect makes up for the delay of any number of changes, so that instruments tell nothing; what is left is
+    how smoothly the voltages change.
+
+    Args:
+        delayed: Fit of a machine whose drives have a delay or lag.
+        data: Runs with interpolated voltages.
+    """
+    number, best = _with_fewest_changes(delayed, data, criteria)
+    if number == data.updates:
+        return None
+    held = continue_fit(delayed, data.with_held_voltages(), SEARCH_BANDWIDTH)
+    return VoltageUpdates(number, held.chi2, best.chi2)
+
+
+def _with_fewest_changes(delayed: Fit, data: Dataset, criteria: SelectionCriteria) -> tuple[int, Fit]:
+    """Return the number of changes of which no other one explains clearly more beside a delay of the drives.
+
+    Errors prefer too many changes. They are therefore doubled only while that reduces the error by as much as an effect
+    must, and halved if not even one doubling does.
+
+    Args:
+        delayed: Fit of a machine whose drives have a delay or lag, to these runs.
+    """
+    start = continue_fit(delayed, data, delayed.bandwidth)
+    most = most_updates(data)
+    for factor in (2.0, 0.5):
+        number, best = data.updates, start
+        while _FEWEST_UPDATES <= (other := round(factor * number)) <= most:
+            enough = required_gain(best.error, criteria)
+            trial = continue_fit(
+                best, data.with_updates(other), best.bandwidth, goal=best.cost - enough * best.count
+            )
+            if not is_enough(best.error, trial.error, enough):
+                break
+            number, best = other, trial
+        if best is not start:
+            break
+    return number, best
+
+
+def _with_delay(fitted: Fit, data: Dataset, *, start: float = 0.0, goal: float = math.inf) -> Fit:
+    """Fit a machine again with a delay of all drives, from which a fit learns how late the voltages act.
+
+    Args:
+        fitted: Fit of a machine to the same runs.
+        start: Delay from which the fit starts, s.
+        goal: Cost, dimensionless, above which the fit is of no use (`fit`).
+    """
+    if _has_timing(fitted.machine):
+        return continue_fit(fitted, data, fitted.bandwidth, goal=goal)
+    delay = EFFECTS["input_delay"].at("drives", d=start)
+    (definition,) = delay.definition.parameters
+    parameter = FreeParameter(
+        f"{delay.label}.{definition.name}",
+        start,
+        prior=_DELAY_PRIOR,
+        scale=definition.scale,
+        lower=definition.lower,
+        upper=definition.upper,
+    )
+    return fit(
+        fitted.machine.with_effects(delay),
+        (*fitted.free, parameter),
+        data,
+        fitted.bandwidth,
+        theta=np.append(fitted.theta, 0.0),
+        longest_step=search_step(fitted.bandwidth, data),
+        goal=goal,
+    )
+
+
+def _has_timing(machine: Machine) -> bool:
+    """Return whether drives of a machine act later than their voltages, by a delay or lag that is known already."""
+    return any(is_timing(effect.definition) for effect in machine.effects)
+
+
+def is_timing(effect: Effect) -> bool:
+    """Return whether an effect delays the voltages or lets the currents lag behind them.
+
+    The current that lags is the state itself; heat or a sagging supply change the current that follows at once.
+    """
+    lags = effect.current is not None and effect.next_state is not None
+    return effect.delay is not None or (lags and "i" not in argument_names(effect.current))
 
 
 def count_updates(fitted: Fit, data: Dataset, excess: ExcessDelay | None = None) -> int:
@@ -236,7 +338,29 @@ def voltage_updates(fitted: Fit, data: Dataset, criteria: SelectionCriteria) -> 
         per_row = count_updates(best, data.with_updates(per_row))
         fitted = continue_fit(best, data.with_updates(per_row), SEARCH_BANDWIDTH)
         return VoltageUpdates(per_row, held.chi2, fitted.chi2)
-    return VoltageUpdates(1, held.chi2, held.chi2)
+    return _changing_beside_delay(held, data, criteria) or VoltageUpdates(1, held.chi2, held.chi2)
+
+
+def _changing_beside_delay(held: Fit, data: Dataset, criteria: SelectionCriteria) -> VoltageUpdates | None:
+    """Return how often the voltages change between the rows if drives act as late as held voltages do.
+
+    Held voltages act late by half a sampling period, and so do voltages that change between the rows of drives with a
+    delay or lag. Both are compared with the delay as a parameter; None if the voltages may be held.
+
+    Args:
+        held: Fit with voltages that are held from row to row.
+        data: The same runs.
+    """
+    changing = data.with_updates(_FEWEST_UPDATES)
+    enough = held.cost - criteria.min_gain * held.count
+    earlier = (0.5 - 0.5 / _FEWEST_UPDATES) * data.period
+    delayed = _with_delay(held, changing, start=earlier, goal=enough)
+    if not delayed.cost < enough:
+        return None
+    if not _change(_with_delay(held, data), delayed, changing, criteria):
+        return None
+    number, best = _with_fewest_changes(delayed, changing, criteria)
+    return VoltageUpdates(number, held.chi2, best.chi2)
 
 
 def _change(held: Fit, changing: Fit, data: Dataset, criteria: SelectionCriteria) -> bool:

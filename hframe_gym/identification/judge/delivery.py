@@ -6,6 +6,8 @@ no worse than a plain fit of inertia and friction, or than the file.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from .criteria import SelectionCriteria
 from .error import AS_GOOD
 from .verdict import Verdict
@@ -27,6 +29,19 @@ def is_worse_than(ratio: float, left: float, criteria: SelectionCriteria) -> boo
     if not left <= criteria.max_noise_ratio_explained:
         return ratio**2 > 1.0 + criteria.min_gain
     return ratio > 1.0 and max(left, 1.0) ** 2 > AS_GOOD * max(left / ratio, 1.0) ** 2
+
+
+def held_out_runs_decide(explained: bool, contradicted: Sequence[bool]) -> bool:
+    """Return whether the held-out runs may replace a fitted machine by a simpler one.
+
+    Runs that contradict all machines alike say that something was wrong with them, not which machine is right: the
+    smaller of two errors that both differ in kind from what the fitted runs leave is chance.
+
+    Args:
+        explained: Whether the fitted machine explains the fitted runs.
+        contradicted: For each machine, whether all held-out runs contradict it.
+    """
+    return not (explained and all(contradicted))
 
 
 def forces_contradict(lacking: float, without: float) -> bool:

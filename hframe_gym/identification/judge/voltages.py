@@ -117,6 +117,22 @@ def another_rate_explains_more(present: FitError, other: FitError, criteria: Sel
     return is_enough(present, other, required_gain(present, criteria))
 
 
+def drives_delay_voltages(counted: FitError, delayed: FitError, criteria: SelectionCriteria) -> bool:
+    """Return whether drives with a delay or lag, and not fewer changes a row, let voltages act later than assumed.
+
+    Fewer changes act later as well and need no effect: where both explain the same, no delay is there. Where unknown
+    voltages cannot cause all that is left, a missing effect may move the delay, so that nothing tells.
+
+    Args:
+        counted: Error with the number of changes whose delay is closest to the one found.
+        delayed: Error with the present number and a delay of the drives.
+        criteria: Decision thresholds of `required_gain` and `voltages_may_cause`.
+    """
+    return voltages_may_cause(delayed, criteria) and is_enough(
+        counted, delayed, required_gain(counted, criteria)
+    )
+
+
 def interpolation_suffices(simulated: Array) -> bool:
     """Return whether interpolated voltages simulate a machine as well as known ones would.
 

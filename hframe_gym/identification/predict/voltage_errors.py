@@ -77,6 +77,26 @@ def interpolation_variance(inputs: Array) -> Array:
     return np.asarray(_SHARE * np.maximum(averages, 0.0))  # running sums leave rounding errors
 
 
+def mean_voltage_variance(run: PreparedRecording) -> Array:
+    """Return the variance of the error of the mean voltage from each row of a run to the next.
+
+    A controller whose clock jitters also answers the jitter of the steps between the rows, as it does that of the rows.
+    Of n changes a row, n - 1 have such an answer, each for an n-th of the row; no row shows it, and the third
+    differences of voltages without the answers of the rows do not either.
+
+    Args:
+        run: Run whose voltages change between the rows.
+
+    Returns:
+        Variances, V^2, shape (n - 1, drives).
+    """
+    variance = interpolation_variance(run.without_clock_answers())
+    if run.clock_voltages is None:
+        return variance
+    squares = uniform_filter1d(run.clock_voltages.answers**2, _ROWS, axis=0, mode="nearest")[:-1]
+    return np.asarray(variance + (run.updates - 1) / run.updates**2 * np.maximum(squares, 0.0))
+
+
 def with_voltage_errors(machine: Machine, data: Dataset) -> Dataset:
     """Return a data set whose residuals take the errors of interpolated voltages into account.
 
@@ -125,9 +145,7 @@ def simulation_error(machine: Machine, data: Dataset) -> Array:
 
     def draws(run: PreparedRecording) -> Array:
         # Interpolated between the rows, independent errors of the rows add up like those of the mean voltages.
-        deviations = np.sqrt(
-            np.vstack([interpolation_variance(run.without_clock_answers()), np.zeros(len(machine.drives))])
-        )
+        deviations = np.sqrt(np.vstack([mean_voltage_variance(run), np.zeros(len(machine.drives))]))
         return (
             np.concatenate([np.zeros((1, *deviations.shape)), rng.normal(size=(_DRAWS, *deviations.shape))])
             * deviations
@@ -240,6 +258,7 @@ class InterpolationErrors(VoltageErrors):
     def __init__(self, machine: Machine, run: PreparedRecording, data: Dataset) -> None:
         # Pulses last from row to row: the response is that of held voltages.
         held = dataclasses.replace(run, updates=1, voltage_errors=None)
+        self._variance = mean_voltage_variance(run)
         self._machine, self._run = machine, held
         self._data = dataclasses.replace(data, runs=(held,))
         self._by_bandwidth: dict[float, tuple[Whitening, Array]] = {}
@@ -312,6 +331,6 @@ class InterpolationErrors(VoltageErrors):
         )
         # Where the machine diverges, its residual is infinite anyway; responses must not make the covariance so.
         per_volt.data[~(np.abs(per_volt.data) < _LARGEST_RESPONSE)] = 0.0
-        deviations = np.sqrt(interpolation_variance(self._run.without_clock_answers())).ravel()
+        deviations = np.sqrt(self._variance).ravel()
         per_volt.data *= deviations[per_volt.indices]
         return per_volt

@@ -14,7 +14,6 @@ from collections.abc import Iterator
 from functools import partial
 
 from ...line_log import LineLog
-from ...machine import Effect, argument_names
 from ...preparation.dataset import Dataset
 from ..evidence.held_out import error_reduction
 from ..evidence.plausibility import plausibility_fault
@@ -25,6 +24,7 @@ from ..fit.estimation import Fit
 from ..fit.long_run_variance import long_run_variance
 from ..fit.model_error import continue_fit, likelihood_loss, polish
 from ..fit.start_estimation import refine_dataset
+from ..fit.voltage_updates import is_timing
 from ..judge.criteria import SelectionCriteria
 from ..judge.effect import TimingEvidence, doubt_about_timing, removed_fraction
 from ..predict.prediction import LONGEST_OBSERVER_PERIOD, SEARCH_BANDWIDTH
@@ -102,15 +102,6 @@ def with_input_timing(
     log(f"  {effect.label} removes {percent:.2g} % of the error (observer of {wide:.0f} rad/s)")
     chosen = tuple(s.with_values(extended.machine) for s in (*selected, added))
     return outcome._replace(after=extended, selected=chosen)
-
-
-def is_timing(effect: Effect) -> bool:
-    """Return whether an effect delays the voltages or lets the currents lag behind them.
-
-    The current that lags is the state itself; heat or a sagging supply change the current that follows at once.
-    """
-    lags = effect.current is not None and effect.next_state is not None
-    return effect.delay is not None or (lags and "i" not in argument_names(effect.current))
 
 
 def _trials(current: Fit, data: Dataset) -> Iterator[Fit]:

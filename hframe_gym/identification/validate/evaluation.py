@@ -25,6 +25,7 @@ from ..fit.channel_errors import errors_by_channel
 from ..fit.covariance import with_uncertainty
 from ..fit.estimation import prediction_cost
 from ..fit.start_estimation import refine_dataset
+from ..fit.voltage_updates import is_timing
 from ..judge.criteria import SelectionCriteria
 from ..judge.effect import uncertain_size
 from ..judge.unstable_motion import UnstableMotion, explains_unstable_motion, is_unstable
@@ -40,7 +41,6 @@ from ..predict.start_uncertainty import prediction_residuals
 from ..predict.voltage_errors import simulation_error, with_voltage_errors
 from ..propose.dependences import agree_with_causes, rank_dependences
 from ..propose.trial_fits import without_effect
-from ..search.input_timing import is_timing
 from ..search.outcome import SearchOutcome, with_removed, without_names
 from .held_out_predictions import largest, predictions_by_run
 from .machine_errors import ModelEvaluation, PredictionErrors, evaluate_held_out, with_encoder_zeros

@@ -18,6 +18,7 @@ from ...line_log import LineLog
 from ...preparation.dataset import Dataset
 from ...preparation.excerpt import is_long, representative_part
 from ..budget import LAST_STAGE_END, Budget, BudgetEndedError
+from ..evidence.held_out import contradicting_held_out_runs
 from ..evidence.tried_effects import SelectedEffect
 from ..fit.estimation import Fit, prediction_cost
 from ..fit.plain_fit import PlainFit, equally_weighted, refined_equally
@@ -25,6 +26,7 @@ from ..judge.criteria import SelectionCriteria
 from ..judge.delivery import (
     description_helps,
     forces_contradict,
+    held_out_runs_decide,
     is_worse_than,
     needs_description,
 )
@@ -128,19 +130,26 @@ def _runs_to_report(test: HeldOutTest, fitted: Dataset) -> float:
     return len(fitted.runs) / len(test.held_out.runs)
 
 
-def no_worse(judgment: Judged, plain: PlainFit | None, log: LineLog, budget: Budget) -> Delivered:
+def no_worse(
+    judgment: Judged, plain: PlainFit | None, log: LineLog, budget: Budget, *, differing: Sequence[str] = ()
+) -> Delivered:
     """Compare the outcome with the plain fit and the declared machine, and deliver none that predicts worse.
 
     If one of them takes the place of a machine with effects, that is the reason why none is named. Where no cause is
-    named, a machine with effects that describe what is left takes the place of one without.
+    named, a machine with effects that describe what is left takes the place of one without. Held-out runs that all
+    contradict all of these machines choose none.
 
     Args:
         judgment: Outcome of a search with its machines, as the held-out runs judge it.
         plain: Plain fit to the fitted runs, if there is one.
         log: Called with a line of text.
         budget: Budget of the identification, of which a description may use a part.
+        differing: Names of the held-out runs that contradict the fitted ones.
     """
     evaluated = judgment.evaluated
+    if not _may_choose(evaluated, plain, differing):
+        known = None if plain is None else PlainResult(_plain_errors(plain, evaluated), plain.terms)
+        return Delivered(evaluated, known, ())
     result, delivered, sentence = None, evaluated, ""
     if plain is not None:
         result, delivered, sentence = _compared(judgment, plain, log, budget)
@@ -156,6 +165,21 @@ def no_worse(judgment: Judged, plain: PlainFit | None, log: LineLog, budget: Bud
         return Delivered(delivered._replace(reason=clause), result, ())
     remarks = (sentence,) if sentence else ()
     return Delivered(delivered._replace(reason=evaluated.reason), result, remarks)
+
+
+def _may_choose(evaluated: Evaluated, plain: PlainFit | None, differing: Sequence[str]) -> bool:
+    """Return whether the held-out runs may choose between the machine of a search and simpler ones."""
+    if not differing or {run.name for run in evaluated.test.complete_runs.runs} - {*differing}:
+        return True
+    outcome, held_out = evaluated.outcome, evaluated.held_out
+
+    def contradicted(model: ModelEvaluation) -> bool:
+        simpler = dataclasses.replace(outcome.after, machine=model.machine)
+        return len(contradicting_held_out_runs(simpler, model.machine, (), held_out)) == len(held_out.runs)
+
+    simpler = [evaluated.declared] if plain is None else [evaluated.declared, _plain_errors(plain, evaluated)]
+    explained = outcome.explained if outcome.selected else outcome.before_explains
+    return held_out_runs_decide(explained, [True, *map(contradicted, simpler)])
 
 
 def _compared(

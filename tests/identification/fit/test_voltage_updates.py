@@ -10,6 +10,7 @@ import pytest
 
 from hframe_gym import simulate
 from hframe_gym.data_validation.sampling import check_voltages_between_rows
+from hframe_gym.effects import get_effect
 from hframe_gym.identification import Dataset, Fit, SelectionCriteria, default_free_parameters, fit, prepare
 from hframe_gym.identification.budget import Budget
 from hframe_gym.identification.fit import voltage_updates as voltage_updates_module
@@ -41,10 +42,15 @@ ROWS = 1500
 @cache
 def controlled(seed: int) -> Recording:
     """Return a run of a controller that moves the axis from place to place and reads a noisy sensor."""
+    return moved(seed, window=120)
+
+
+def moved(seed: int, window: int) -> Recording:
+    """Return such a run whose moves take that many rows."""
     rng = np.random.default_rng(seed)
     noise = rng.normal(0.0, NOISE, (ROWS, 1))
     places = random_places(rng, ROWS)
-    return controlled_run(f"run_{seed}", RIG, places, noise, window=120, gains=(300.0, 5.0))
+    return controlled_run(f"run_{seed}", RIG, places, noise, window=window, gains=(300.0, 5.0))
 
 
 @cache
@@ -115,6 +121,51 @@ def test_the_motion_shows_how_often_the_voltages_change() -> None:
     assert updates.per_row in (3, 4, 5)
     assert updates.fitted < 0.5 * updates.held
     assert "change between the rows, about" in updates.describe("voltages", 4e-3)
+
+
+@cache
+def delayed_log() -> Dataset:
+    """Return logs of a drive that acts two of the four changes a row late: half a row, as held voltages do."""
+    runs = (moved(seed, window=30) for seed in range(3))
+    late = (dataclasses.replace(run, inputs=np.roll(run.inputs, -2)) for run in runs)
+    return prepare([every(run, 4) for run in late], AXIS)
+
+
+def test_a_delay_of_the_drives_does_not_hide_that_voltages_change_between_the_rows() -> None:
+    """Held voltages act nearly as late, and two changes a row without a delay earlier, but voltages are smoother."""
+    data = delayed_log()
+    assert refitted(data.with_updates(2)).chi2 > refitted(data).chi2
+    updates = found(data)
+    assert updates.per_row > 1
+    assert updates.fitted < 0.5 * updates.held
+
+
+def test_fewer_changes_do_not_take_the_place_of_a_delay_that_is_missing() -> None:
+    """With four changes a row, instruments find the delay of fewer ones, but these explain less than a delay."""
+    data = delayed_log().with_updates(4)
+    fitted = refitted(data)
+    excess = excess_delay(fitted, data)
+    assert excess is not None
+    assert excess.periods == pytest.approx(0.5, abs=0.05)
+    assert other_updates(fitted, with_voltage_errors(fitted.machine, data), SelectionCriteria()) is None
+
+
+@pytest.mark.parametrize(("present", "expected"), [(2, 4), (4, None), (8, None), (16, 8)])
+def test_beside_a_known_delay_the_number_counts_that_no_other_one_clearly_improves(
+    monkeypatch: pytest.MonkeyPatch, present: int, expected: int | None
+) -> None:
+    """Errors prefer too many changes: what eight explain more than four is less than an effect must explain."""
+    chi2 = {2: 1.326, 4: 1.252, 8: 1.248, 16: 1.300}
+    late = AXIS.with_effects(get_effect("input_delay").at("drives", d=2.0 * PERIOD))
+    data = delayed_log().with_updates(present)
+    fitted = fit(late, default_free_parameters(late), data, SEARCH_BANDWIDTH, iterations=0)
+
+    def continue_fit(fitted: Fit, data: Dataset, bandwidth: float, *, goal: float = 0.0) -> Fit:
+        return dataclasses.replace(fitted, cost=chi2.get(data.updates, 2.0) * fitted.count, floor=1.0)
+
+    monkeypatch.setattr(voltage_updates_module, "continue_fit", continue_fit)
+    updates = other_updates(fitted, with_voltage_errors(late, data), SelectionCriteria())
+    assert (updates and updates.per_row) == expected
 
 
 def test_interpolated_voltages_give_the_true_mass() -> None:

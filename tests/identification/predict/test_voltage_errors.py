@@ -54,6 +54,7 @@ from hframe_gym.identification.predict.start_uncertainty import prediction_resid
 from hframe_gym.identification.predict.voltage_errors import (
     InterpolationErrors,
     interpolation_variance,
+    mean_voltage_variance,
     simulation_error,
     with_voltage_errors,
 )
@@ -61,6 +62,7 @@ from hframe_gym.identification.report.remainder import reason_of_remainder
 from hframe_gym.identification.report.verdict_words import verdict_sentence
 from hframe_gym.identification.validate.evaluation import _quiet
 from hframe_gym.machine import BUILTIN_MACHINES
+from hframe_gym.preparation.clock_voltages import ClockVoltages, updated_inputs_of_clock
 from hframe_gym.recordings import Recording
 from tests.identification.controlled_runs import controlled_run, every, random_places
 
@@ -225,6 +227,22 @@ def test_resting_voltages_have_no_error() -> None:
     assert np.all(variance[52:58] > 0.0)
 
 
+def test_steps_that_are_not_logged_answer_the_jitter_of_the_clock_as_the_rows_do() -> None:
+    """The rows' own answers are known and removed; those between them are as large, and no difference of rows shows."""
+    rng, first = np.random.default_rng(0), slow_log().runs[0]
+    rows = len(first.time_s)
+    answers = rng.normal(0.0, 0.05, (UPDATES * rows, 1))
+    wandering = np.cumsum(rng.normal(0.0, 0.01, (UPDATES * rows, 1)), axis=0)
+    volts = wandering + answers
+    clock = ClockVoltages(np.zeros((rows, 1)), answers[::UPDATES])
+    run = dataclasses.replace(first, inputs=volts[::UPDATES], clock_voltages=clock, updates=UPDATES)
+    known = updated_inputs_of_clock(run.time_s, run.inputs, clock, UPDATES)[:-1]
+    missed = (volts[: len(known)] - known).reshape(rows - 1, UPDATES).mean(axis=1)
+    expected = mean_voltage_variance(run).mean()
+    assert np.mean(missed**2) == pytest.approx(expected, rel=0.25)
+    assert interpolation_variance(run.without_clock_answers()).mean() < 0.3 * expected
+
+
 def test_instruments_weigh_a_pulley_that_least_squares_find_too_heavy() -> None:
     found = _by_instruments(least_squares(), interpolated())
     assert found is not None
@@ -233,9 +251,13 @@ def test_instruments_weigh_a_pulley_that_least_squares_find_too_heavy() -> None:
     assert np.all(np.abs(masses / exact - 1.0) < 0.5 * np.abs(errors(least_squares())))
     equations = _equations_with_delay(least_squares(), found.theta, interpolated())
     assert equations is not None
-    covariance = equations.covariance(prior_precision(least_squares().free), found.theta)
+    covariance, by_delay = equations.covariance(prior_precision(least_squares().free), found.theta)
     fitted = dataclasses.replace(
-        least_squares(), machine=found.machine, theta=found.theta, covariance=covariance
+        least_squares(),
+        machine=found.machine,
+        theta=found.theta,
+        covariance=covariance,
+        change_by_delay=by_delay,
     )
     uncertainty = with_uncertainty(fitted, interpolated()).uncertainty
     assert uncertainty is not None
@@ -255,6 +277,22 @@ def test_instruments_find_no_damping_of_belts_where_none_is() -> None:
     assert abs(size.value) < 4.9 * size.std
     assert size.std < 1e-4
     assert fit_by_instruments(least_squares(), slow_log()) is None
+
+
+def test_a_delay_that_the_residual_indicates_is_no_doubt_about_a_delay() -> None:
+    """Of a fit by instruments as well, the variance has a part for it only where the delay itself is not asked for."""
+    found = fit_by_instruments(least_squares(), with_errors())
+    assert found is not None
+    assert found.covariance is not None
+    assert found.change_by_delay is not None
+    late = dataclasses.replace(found, change_by_delay=np.sqrt(np.diag(found.covariance)))
+    with_part, without = (
+        with_uncertainty(late, with_errors(), indicated_delay=indicated).uncertainty
+        for indicated in (True, False)
+    )
+    assert with_part is not None
+    assert without is not None
+    np.testing.assert_allclose(np.diag(with_part.covariance), 2.0 * np.diag(without.covariance))
 
 
 def test_parameters_lie_between_those_of_least_squares_and_of_instruments() -> None:

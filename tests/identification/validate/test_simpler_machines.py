@@ -239,3 +239,25 @@ def test_simulations_decide_along_other_motions(simpler: str, monkeypatch: pytes
     assert delivered.evaluated.selected == ()
     assert "the machine that is delivered is the" in delivered.evaluated.reason.lower()
     assert not delivered.evaluated.reason.endswith(".")
+
+
+@pytest.mark.parametrize("explained", [True, False])
+@pytest.mark.parametrize("contradicted", [("run_02",), ()])
+def test_held_out_runs_that_contradict_all_machines_choose_none(
+    explained: bool, contradicted: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A run with a smaller gain contradicts two others: of two errors of hundreds of times the noise, none is right."""
+    declared, fitted = AXIS.replace(effects=()), AXIS.replace(effects=()).with_effects(FORCE)
+    run = SimpleNamespace(name="run_02")
+    runs = HeldOutRuns(declared, {(): 430.0, (FORCE_LABEL,): 559.0})
+    runs.complete_runs = SimpleNamespace(runs=(run,))
+    found = SearchOutcome(fit_of(fitted), explained, explained, "unexplained", fit_of(fitted), (), (), DATA)
+    monkeypatch.setattr(Evaluated, "held_out", property(lambda self: runs.complete_runs))
+    monkeypatch.setattr(simpler_machines, "contradicting_held_out_runs", lambda *_: contradicted)
+    monkeypatch.setattr(simpler_machines, "_declared", lambda evaluated: fit_of(declared))
+    monkeypatch.setattr(simpler_machines, "_described", lambda *_: None)
+    judgment = Judged(runs.evaluate(found)._replace(reason="it contradicts"))
+    delivered = no_worse(judgment, None, lambda line: None, Budget(), differing=("run_02",))
+    stays = explained and bool(contradicted)
+    assert delivered.evaluated.after.machine.effects == ((FORCE,) if stays else ())
+    assert delivered.evaluated.reason == "it contradicts"
