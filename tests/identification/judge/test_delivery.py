@@ -58,3 +58,17 @@ def test_a_description_helps_where_the_error_says_something(
     ratio: float, predicted: float | None, helps: bool
 ) -> None:
     assert judge.description_helps(ratio, predicted) == helps
+
+
+@pytest.mark.parametrize(
+    ("explained", "contradicted", "decide"),
+    [
+        (True, [True, True], False),  # a run with another gain
+        (True, [True, False], True),  # the runs agree with the simpler machine
+        (False, [True, True], True),  # no machine is right anyway
+    ],
+)
+def test_held_out_runs_that_contradict_all_machines_choose_none(
+    explained: bool, contradicted: list[bool], decide: bool
+) -> None:
+    assert judge.held_out_runs_decide(explained, contradicted) == decide

@@ -76,6 +76,21 @@ def test_another_number_of_changes_leaves_clearly_less_where_effects_are_missing
 
 
 @pytest.mark.parametrize(
+    ("fewer", "delayed", "delays"),
+    [
+        (1.496, 1.326, True),  # two changes a row; a delay of 1.8 ms in rows of 4 ms
+        (1.334, 1.326, False),  # fewer changes need no effect
+        (5.0, 3.2, False),  # what is missing may move the delay
+    ],
+)
+def test_drives_delay_voltages_where_fewer_changes_explain_less(
+    fewer: float, delayed: float, delays: bool
+) -> None:
+    errors = (FitError(1e5 * chi2, 1e5, 60.0, floor=1.0) for chi2 in (fewer, delayed))
+    assert judge.drives_delay_voltages(*errors, CRITERIA) is delays
+
+
+@pytest.mark.parametrize(
     ("simulated", "suffices"),
     [((0.0, 0.4), True), ((0.0, 0.5), False), ((5.0, 0.1), False), ((np.nan,), False)],
 )
