@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from functools import cache
 from typing import NamedTuple
 
-from ...effects import effect_sites
+from ...effects import EFFECTS, effect_sites
 from ...machine import AppliedEffect, Machine
 from ...preparation.dataset import Dataset
 from ..fit.estimation import Fit
@@ -25,6 +25,7 @@ from ..fit.model_error import (
     likelihood_loss,
     polish,
 )
+from ..fit.voltage_updates import is_timing
 from ..judge.criteria import SelectionCriteria
 from ..judge.effect import parameter_at_limit
 from ..judge.rival import (
@@ -34,6 +35,7 @@ from ..judge.rival import (
     equal_margin,
     is_likelier,
     may_be_the_cause,
+    only_a_row_tells,
     preference,
     remains_rival,
 )
@@ -167,6 +169,27 @@ def rivals_in_combination(
     return tuple(further)
 
 
+def hidden_rivals(effect: AppliedEffect, data: Dataset) -> tuple[AppliedEffect, ...]:
+    """Return the delay or lag of the drives that a log does not tell from another one, because it lacks voltages.
+
+    Args:
+        effect: A selected effect.
+        data: Runs that were fitted.
+
+    Returns:
+        The others at the same site, of the same duration; none where all voltages are known, or of another effect.
+    """
+    if not is_timing(effect.definition) or not data.has_voltage_errors:
+        return ()
+    durations = [*effect.parameters.values()]
+    if not only_a_row_tells(durations, data.period):
+        return ()
+    others = (e for e in EFFECTS.values() if is_timing(e) and e.name != effect.name)
+    return tuple(
+        other.at(effect.site, **{p.name: max(durations) for p in other.parameters}) for other in others
+    )
+
+
 class ComparedRivals(NamedTuple):
     """Comparison of an effect of the machine with its rivals, beside all other effects.
 
@@ -193,8 +216,9 @@ def compare_rivals(
 ) -> ComparedRivals:
     """Compare an effect of the machine with its rivals by their likelihood, each fitted in place of the effect.
 
-    A rival replaces the effect, or is excluded, only if the difference in likelihood exceeds what chance may cause:
-    `chance` of the criteria, increased where the residual is correlated in time.
+    Those that the log cannot tell from it (`hidden_rivals`) remain without being fitted. Another one replaces the
+    effect, or is excluded, only if the difference in likelihood exceeds what chance may cause: `chance` of the
+    criteria, increased where the residual is correlated in time.
 
     Args:
         current: Fit of the machine with all effects.
@@ -209,7 +233,8 @@ def compare_rivals(
     """
     rivals = (*rivals, *in_combination)
     present = {effect.label: effect for effect in current.machine.effects}
-    possible = [rival for rival in rivals if not rival.definition.structure and rival.label not in present]
+    untold = {*present, *(rival.label for rival in hidden_rivals(present[label], data))}
+    possible = [rival for rival in rivals if not rival.definition.structure and rival.label not in untold]
     if not possible or present[label].definition.structure or is_required(current.machine, label):
         return ComparedRivals(None, tuple(rivals))
 

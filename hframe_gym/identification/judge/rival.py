@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from .chance import LongRunVariance, chance_gain
@@ -128,6 +128,19 @@ def remains_rival(evidence: RivalEvidence) -> bool:
     """
     margin = evidence.margin if evidence.known else max(evidence.margin, evidence.rival_margin)
     return evidence.rival_loss <= evidence.loss + margin
+
+
+def only_a_row_tells(durations: Sequence[float], period: float) -> bool:
+    """Return whether only what happens within a row of a log can tell effects apart.
+
+    A delay and a lag of equal duration act alike on all that changes more slowly. In a log slower than its controller,
+    the voltages within a row are not known: of two stages, the wrong one of both explained more.
+
+    Args:
+        durations: Durations of the effects, s.
+        period: Sampling period of the log, s.
+    """
+    return max(durations) < period
 
 
 def largest_resembling_loss(variance: LongRunVariance, criteria: SelectionCriteria) -> float:

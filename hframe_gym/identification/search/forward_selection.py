@@ -22,6 +22,7 @@ from ..budget import expect_tests, may_begin_again, note_error, seconds_spent, s
 from ..evidence.rivals import (
     close_rivals,
     compare_rivals,
+    hidden_rivals,
     limited_last,
     most_likely_fit,
     rivals_in_combination,
@@ -396,7 +397,8 @@ class EffectSearch:
         The trial fits of the search show rivals only among the few best candidates of one step. Here all candidates are
         compared with the effect, to first order, in the machine with all other effects; `settle_rivals` then fits those
         that may take its place. An effect may do so if the increase of chi-squared is no more than chance causes. That
-        is doubled, because the comparison is of first order.
+        is doubled, because the comparison is of first order. Those that only unknown voltages tell from the effect are
+        added in any case.
 
         Args:
             current: Fit of the machine with all selected effects.
@@ -413,8 +415,9 @@ class EffectSearch:
             loss = largest_resembling_loss(
                 long_run_variance(current, s.effect.label, self.data), self._criteria
             )
-            found = indistinguishable(screened, s.effect.label, loss) if math.isfinite(loss) else []
-            further = tuple(effect for effect in found if effect.label not in known)
+            found = [*hidden_rivals(s.effect, self.data)]
+            found += indistinguishable(screened, s.effect.label, loss) if math.isfinite(loss) else []
+            further = tuple({e.label: e for e in found if e.label not in known}.values())
             if further:
                 self._log(f"  {s.effect.label} resembles {', '.join(e.label for e in further)} in these runs")
             extended.append(dataclasses.replace(s, rival_effects=(*s.rival_effects, *further)))

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -48,6 +50,26 @@ def test_rivals_are_other_effects_within_the_margin(monkeypatch: pytest.MonkeyPa
         variance = LongRunVariance(ratio)
         monkeypatch.setattr(rivals, "long_run_variance", lambda *_, variance=variance: variance)
         assert rivals.close_rivals(trials, current, DATA, CRITERIA) == expected
+
+
+@pytest.mark.parametrize(
+    ("duration", "voltages_known", "hidden"), [(1e-3, False, True), (1e-3, True, False), (5e-3, False, False)]
+)
+def test_a_delay_and_a_lag_within_a_row_of_a_log_without_all_voltages_are_not_told_apart(
+    duration: float, voltages_known: bool, hidden: bool
+) -> None:
+    """Here the lag explains far more, beyond all chance, but the voltages within a row of 4 ms are not known."""
+    data: Any = SimpleNamespace(has_voltage_errors=not voltages_known, period=4e-3)
+    lag, delay = (
+        EFFECTS["electrical_lag"].at("drives", tau=duration),
+        EFFECTS["input_delay"].at("drives", d=duration),
+    )
+    assert rivals.hidden_rivals(lag, data) == ((delay,) if hidden else ())
+    assert rivals.hidden_rivals(delay, data) == ((lag,) if hidden else ())
+    assert rivals.hidden_rivals(PUSH, data) == ()
+    if hidden:
+        compared = rivals.compare_rivals(fit_with(lag, chi2=1.0), lag.label, [delay], data, CRITERIA)
+        assert compared == rivals.ComparedRivals(None, (delay,))
 
 
 def test_a_fit_is_polished_at_its_bandwidth_and_in_simulation() -> None:
