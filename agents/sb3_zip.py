@@ -18,7 +18,8 @@ import numpy as np
 from gymnasium import spaces
 from typing_extensions import override
 
-from ..controllers import PolicyController
+from ..arrays import Mask
+from ..controllers import EpisodeStarts, PolicyController
 from ..envs import EnvOptions, as_sensors
 from ..envs.observation.spaces import ObservationFormat
 from ..errors import InputError
@@ -38,6 +39,7 @@ _FORMS = tuple(
 _NO_REPLAY: dict[str, Any] = {"buffer_size": 1, "replay_buffer_class": None, "replay_buffer_kwargs": {}}
 # Module of the policy classes of PPO and A2C; those of the other algorithms are in a module of their name.
 _ON_POLICY = "stable_baselines3.common.policies"
+_RECURRENT = "sb3_contrib.common.recurrent.policies"
 
 
 class Sb3Model(PolicyController):
@@ -55,11 +57,23 @@ class Sb3Model(PolicyController):
     ) -> None:
         super().__init__(self._mean_actions, form, machine, period, full_state)
         self.model = model
+        self._starts, self._memory = EpisodeStarts(), None  # the memory of a recurrent policy
+
+    @override
+    def reset(self, mask: Mask | None = None) -> None:
+        self._starts.reset(mask)
 
     def _mean_actions(self, observation: Any) -> Any:
         """Return the mean actions of the model."""
+        parts = observation.values() if isinstance(observation, dict) else [observation]
+        if self._starts.resize(len(next(iter(parts)))):
+            self._memory = None
         with single_threaded_torch():
-            return self.model.predict(observation, deterministic=True)[0]
+            actions, self._memory = self.model.predict(
+                observation, self._memory, self._starts.mask, deterministic=True
+            )
+        self._starts.clear()
+        return actions
 
 
 @CONTROLLER_SOURCES.register("stable-baselines3")
@@ -141,21 +155,24 @@ def _algorithm(path: Path, data: Mapping[str, Any]) -> str:
     """Return the class name of a model's algorithm; raise InputError if it is none of those known here."""
     policy = data.get("policy_class")
     module = str(policy.get("__module__", "")) if isinstance(policy, dict) else ""
+    if module == _RECURRENT:
+        return "RecurrentPPO"
     if module == _ON_POLICY:
         return "PPO" if "n_epochs" in data else "A2C"
     name = module.split(".")[-2] if module.count(".") >= 2 else ""
     if name in ("sac", "td3", *CONTRIB_ALGORITHMS):
         return "CrossQ" if name == "crossq" else name.upper()
     raise InputError(
-        f"{path}: its policy is of the module {module or 'unknown'}; the algorithms are PPO, A2C, SAC, TD3, TQC and "
-        "CrossQ. Wrap another one in a registered controller (docs/extending.md)"
+        f"{path}: its policy is of the module {module or 'unknown'}; the algorithms are PPO, RecurrentPPO, A2C, SAC, "
+        "TD3, TQC and CrossQ. Wrap another one in a registered controller (docs/extending.md)"
     )
 
 
 def _load(path: Path) -> Any:
     """Load a model."""
     name = _algorithm(path, _data(path))
-    package = import_optional("sb3_contrib" if name.lower() in CONTRIB_ALGORITHMS else "stable_baselines3")
+    contrib = name == "RecurrentPPO" or name.lower() in CONTRIB_ALGORITHMS
+    package = import_optional("sb3_contrib" if contrib else "stable_baselines3")
     try:
         return getattr(package, name).load(path, device="cpu", custom_objects=_NO_REPLAY)
     except (ValueError, TypeError, RuntimeError, KeyError, AttributeError, ModuleNotFoundError) as error:

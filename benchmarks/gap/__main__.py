@@ -1,6 +1,7 @@
 """How well does a controller close the gap to a plant that its model does not describe? The protocol `gap-v1`.
 
     python -m benchmarks.gap run pid pid-corrected my.module:MyEntry    # scores go to benchmarks/gap/results
+    python -m benchmarks.gap run my_reach.zip+my_track.zip      # saved policies, for moves and for paths
     python -m benchmarks.gap run pid --plants 0 1 --out DIR             # some plants, another folder
     python -m benchmarks.gap run pid --seed 48000 --out DIR             # other plants, such as a held set
     python -m benchmarks.gap table         # write benchmarks/results/gap.json from the result files
@@ -86,7 +87,10 @@ def main() -> None:
     parser = command_line(__doc__)
     parser.add_argument("action", choices=ACTIONS)
     parser.add_argument(
-        "entries", nargs="*", metavar="ENTRY", help="`list` names them, or package.module:Class"
+        "entries",
+        nargs="*",
+        metavar="ENTRY",
+        help="`list` names them, or REACH+TRACK, or package.module:Class",
     )
     parser.add_argument(
         "--plants",

@@ -13,6 +13,7 @@ command line.
 | `NAME-corrected` | identified | NAME, designed from the machine with the effects that identification found |
 | `NAME-posterior` | identified | the same; the state estimator begins with the posterior of the parameters |
 | `NAME-online` | online | parameters that NAME's estimator finds in practice are kept from one episode to the next |
+| `REACH+TRACK` | zero-shot | two policies of yours: files `model.zip` or folders of `hframe train` (`saved_policies`) |
 | `ppo-trained`, `ppo_mix-trained`, `apg-trained`, ... | identified | agents, trained on the corrected machine |
 
 State estimators of identified entries take the encoders for sensors that drift if the held-out recordings are then more
@@ -462,7 +463,7 @@ def get_entry(name: str) -> type[GapEntry]:
     """Return the class of an entry.
 
     Args:
-        name: Name of an entry of the repository, or `package.module:Class`.
+        name: Name of an entry of the repository, `REACH+TRACK` of two saved policies, or `package.module:Class`.
 
     Returns:
         The class; the protocol makes one object per plant.
@@ -499,8 +500,13 @@ def get_entry(name: str) -> type[GapEntry]:
         agents = {task: f"{shipped}-seed{seed}" for task, shipped in AGENTS[agent].items()}
         name = f"{agent}-seed{seed}{name.removeprefix(base)}"  # every result states its seed
         return _made(name, SeededAgent, machine, agents=agents, **settings)
+    from benchmarks.gap.saved_policies import SavedPolicies, read_name
+
+    if saved := read_name(name):
+        return _made(saved.label, SavedPolicies, paths=saved.paths, measured=saved.measured)
     raise InputError(
-        f"entry {name!r} is unknown; choose of {', '.join(entry_names())}, or package.module:Class"
+        f"entry {name!r} is unknown; choose of {', '.join(entry_names())}, REACH+TRACK of two saved policies, or "
+        "package.module:Class"
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import override
 
-from ..arrays import Actions, KeyedObservation
+from ..arrays import Actions, KeyedObservation, Mask
 from ..errors import InputError
 from ..machine import Machine
 from .base import Controller, Feedback
@@ -33,7 +33,8 @@ class PolicyController(Controller):
     """Controller that applies a function of observations in the form of an environment.
 
     Args:
-        policy: Function of n observations, with a first axis of n, that returns actions, shape (n, drives).
+        policy: Function of n observations, with a first axis of n, that returns actions, shape (n, drives). If it has a
+            method `reset(mask)`, that clears its memory of machines that start a new episode next (None: of all).
         form: Form in which the policy observes.
         period: Control period, s.
         full_state: Whether it observes the full state instead of sensors.
@@ -47,6 +48,12 @@ class PolicyController(Controller):
         super().__init__(machine, period)
         self.policy, self._form = policy, form
         self._check_units = UnitCheck(machine, full_state)
+
+    @override
+    def reset(self, mask: Mask | None = None) -> None:
+        forget = getattr(self.policy, "reset", None)
+        if forget is not None:
+            forget(mask)
 
     @override
     def act(self, observation: KeyedObservation) -> Actions:

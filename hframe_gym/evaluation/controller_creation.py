@@ -94,7 +94,7 @@ def make_controller(
         name: A registered name (`pid`, `adaptive-pid`, `textbook-pid`), `module:name` of one that a module registers,
             or a name that a registered `ControllerSource` accepts: a shipped agent or the folder of an agent. Or a
             policy: a function of observations as the environment, which must be given, returns them for n machines,
-            that returns their actions, shape (n, drives).
+            that returns their actions, shape (n, drives); one with a memory has a method `reset(mask)`.
         machine: Machine, built-in name or machine.json; or a `Scenario`, or an environment of this package (single,
             vector or `HFrameVecEnv`, also in wrappers), which replace all further arguments. For an environment, the
             controller reads observations as the environment returns them, whatever `normalize` and `flat` are.

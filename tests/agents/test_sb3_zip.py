@@ -55,6 +55,28 @@ def test_a_model_acts_as_in_its_training(tmp_path: Path, algorithm: str, options
     np.testing.assert_array_equal(controller.act(plain), expected)
 
 
+def test_a_recurrent_model_remembers_each_machine_until_its_episode_ends(tmp_path: Path) -> None:
+    contrib = pytest.importorskip("sb3_contrib")
+    envs = HFrameVecEnv(3, normalize=True, sensors="rig")
+    model = contrib.RecurrentPPO("MultiInputLstmPolicy", envs, n_steps=8, batch_size=8, seed=0, device="cpu")
+    model.save(tmp_path / "model.zip")
+    controller = make_controller(str(tmp_path / "model.zip"), sensors="rig")
+    plain, _ = HFrameVectorEnv(3, sensors="rig").reset(seed=5)
+    envs.seed(5)
+    seen, memory, starts = envs.reset(), None, np.ones(3, bool)
+    for ends in ([False, True, False], [False, False, False], [False, False, False]):
+        expected, memory = model.predict(seen, memory, starts, deterministic=True)
+        np.testing.assert_array_equal(controller.act(plain), expected)
+        starts = np.array(ends)
+        controller.reset(starts)
+    assert not np.array_equal(
+        expected[1], model.predict(seen, None, np.ones(3, bool), deterministic=True)[0][1]
+    )
+    controller.reset()
+    first, _ = model.predict(seen, None, np.ones(3, bool), deterministic=True)
+    np.testing.assert_array_equal(controller.act(plain), first)
+
+
 def test_a_model_of_hindsight_replay_needs_neither_its_environment_nor_its_memory(tmp_path: Path) -> None:
     replay = {
         "replay_buffer_class": stable_baselines3.HerReplayBuffer,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +26,12 @@ from benchmarks.gap.control_loop import (
 from benchmarks.gap.entries import GapEntry, entry_names, get_entry, posterior_covariance
 from benchmarks.gap.plants import COUNT, PUBLIC_SEED, GapPlant, declared_machine, draw_plant
 from benchmarks.gap.recorder import CHOSEN_S, Recorder, standard_session
+from benchmarks.gap.saved_policies import MeasuredRates
 from benchmarks.gap.summary import RESULTS, overview, read_all, summarize, trained_against_corrected
-from hframe_gym.controllers import Controller, StateEstimator
+from hframe_gym.agents import shipped_agent_folder
+from hframe_gym.controllers import Controller, OutputFeedbackController, StateEstimator
 from hframe_gym.envs import Reach, Track, observed_machine
+from hframe_gym.envs.sb3_vec_env import HFrameVecEnv
 from hframe_gym.errors import InputError
 from hframe_gym.machine import Machine, Uncertainty
 from hframe_gym.recordings import save_machine
@@ -364,6 +368,72 @@ def test_equal_models_are_scored_once(tmp_path: Path, monkeypatch: pytest.Monkey
     assert rows[0]["key"] == rows[1]["key"]
     assert len({row["key"] for row in rows}) == 4
     assert [row["about"]["drifting_encoders"] for row in rows] == [False] * 4 + [True]
+
+
+class Rates(Controller):
+    """Controller that remembers what it observes, and of which machines it forgot."""
+
+    def act(self, observation: Any) -> Array:
+        self.seen = observation["observation"]
+        return np.zeros((len(self.seen), 2))
+
+    def reset(self, mask: Any = None) -> None:
+        self.forgot = mask
+
+
+def test_measured_rates_are_differences_within_an_episode() -> None:
+    inner = Rates(declared_machine(), 0.01)
+    controller = MeasuredRates(inner)
+    for k, expected in enumerate([0.0, 1.0]):
+        controller.act({"observation": np.full((2, 4), 0.01 * k)})
+        np.testing.assert_allclose(
+            inner.seen, np.hstack([np.full((2, 4), 0.01 * k), np.full((2, 4), expected)])
+        )
+    controller.reset(np.array([True, False]))
+    assert inner.forgot.tolist() == [True, False]
+    controller.act({"observation": np.full((2, 4), 0.03)})
+    np.testing.assert_allclose(inner.seen[:, 4:], [[0.0] * 4, [2.0] * 4], rtol=1e-5)
+
+
+@pytest.mark.parametrize("suffix", ["", "@machine"])
+def test_saved_policies_control_moves_and_paths(
+    suffix: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stable_baselines3 = pytest.importorskip("stable_baselines3")
+    monkeypatch.chdir(tmp_path)
+    sensors = "machine" if suffix else "state"
+    for name, task in (("moves", "HFrame-v0"), ("paths", "HFrameTrack-v0")):
+        envs = HFrameVecEnv(1, env_id=task, normalize=True, sensors=sensors)
+        few = {"n_steps": 2, "batch_size": 2, "device": "cpu"}
+        stable_baselines3.PPO("MultiInputPolicy", envs, **few).save(name)
+    make = get_entry(f"moves.zip+paths.zip{suffix}")
+    assert (make.name, make.track, make.learned) == ("moves+paths", "zero-shot", True)
+    before = results.sha256_of(make)
+    entry = make()
+    entry.prepare(declared_machine(), Recorder(IDEAL, allowed=False), tmp_path)
+    observation = {key: np.zeros((2, 2)) for key in ("achieved_goal", "desired_goal")}
+    for task_object, preview in ((REACH, {}), (CIRCLE, {"preview": np.zeros((2, 20))})):
+        controller = entry.controller(task_object)
+        assert isinstance(controller, MeasuredRates if suffix else OutputFeedbackController)
+        if suffix:
+            assert controller.act({**observation, "observation": np.zeros((2, 4)), **preview}).shape == (2, 2)
+    (tmp_path / "paths.zip").write_bytes((tmp_path / "moves.zip").read_bytes())
+    assert results.sha256_of(make) != before
+    with pytest.raises(InputError, match="does not observe preview"):
+        entry.controller(CIRCLE)
+
+
+def test_a_pair_of_policies_that_is_incomplete_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"one for paths, REACH\+TRACK"):
+        get_entry("moves.zip")
+    with pytest.raises(InputError, match=r"paths\.zip: there is no such file or folder"):
+        get_entry(f"{tmp_path}+paths.zip")
+    with pytest.raises(InputError, match=r"agent\.json is missing"):
+        get_entry(f"{tmp_path}+{tmp_path}").files()
+    for task, recipe in (("reach", "ppo"), ("track", "residual")):
+        shutil.copytree(shipped_agent_folder(recipe, task), tmp_path / task)
+    complete = get_entry(str(tmp_path))
+    assert (complete.name, len(complete.files())) == (tmp_path.name, 6)
 
 
 def test_edited_and_impossible_results_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

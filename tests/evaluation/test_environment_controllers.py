@@ -64,6 +64,26 @@ def test_a_function_of_observations_is_a_controller(options: dict[str, bool]) ->
     assert make_controller(policy, env).act(env.reset(seed=0)[0]).shape == (1, 2)
 
 
+def test_a_policy_with_a_memory_forgets_when_an_episode_begins() -> None:
+    class Counting:
+        def reset(self, mask: Any = None) -> None:
+            self.steps = np.zeros(4) if mask is None else np.where(mask, 0.0, self.steps)
+
+        def __call__(self, observation: Any) -> Any:
+            self.steps = self.steps + 0.125
+            return np.repeat(self.steps[:, None], 2, axis=1)
+
+    env = HFrameVectorEnv(4, normalize=True)
+    controller = make_controller(Counting(), env)
+    observation, _ = env.reset(seed=0)
+    controller.reset()
+    for _ in range(2):
+        actions = controller.act(observation)
+    assert actions[:, 0].tolist() == [0.25] * 4
+    controller.reset(np.array([False, True, False, False]))
+    assert controller.act(observation)[:, 0].tolist() == [0.375, 0.125, 0.375, 0.375]
+
+
 @pytest.mark.parametrize(
     ("options", "actions", "message"),
     [

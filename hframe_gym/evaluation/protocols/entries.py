@@ -52,8 +52,8 @@ def run_protocol(name: str, protocol: Protocol) -> tuple[Entry, dict[str, Draws]
     """Run a controller or an agent through all parts of a protocol.
 
     Args:
-        name: Name of a registered controller, `module:name` of one, a shipped agent or an agent's folder, or a folder
-            with one agent per task in the folders `reach` and `track`.
+        name: Name of a registered controller, `module:name` of one, a shipped agent or an agent's folder, a model.zip,
+            or a folder with one agent per task: the folders `reach` and `track`, or `reach.zip` and `track.zip`.
 
     Returns:
         The controller or agent, and the values of all draws (episodes) by part and metric, in the unit of the metric.
@@ -64,12 +64,12 @@ def run_protocol(name: str, protocol: Protocol) -> tuple[Entry, dict[str, Draws]
     """
     protocol.check()
     load_plugins()
-    values, entries, timed = {}, [], []
-    for part in protocol.parts:
-        entry, controller = make_entry(name, protocol, part)
-        entries.append(entry)
-        timed.append(TimedController(controller))
-        values[part] = draw_values(rollout(timed[-1], protocol.scenario(part)))
+    entries, controllers = zip(*(make_entry(name, protocol, part) for part in protocol.parts), strict=True)
+    timed = [TimedController(controller) for controller in controllers]
+    values = {
+        part: draw_values(rollout(controller, protocol.scenario(part)))
+        for part, controller in zip(protocol.parts, timed, strict=True)
+    }
     cost = 1e6 * sum(t.cpu_s for t in timed) / sum(t.actions for t in timed)
     return _combined(entries)._replace(control_us=round(cost, 1)), values
 
@@ -104,14 +104,15 @@ def make_entry(name: str, protocol: Protocol, part: str) -> tuple[Entry, Control
     full state, or an agent that was trained with it, receives the estimates of a `StateEstimator`.
 
     Args:
-        name: Controller such as "pid", agent or its folder, or folder with one agent each in `reach` and `track`.
+        name: Controller such as "pid", agent or its folder, model.zip, or folder with one of them for each task.
 
     Raises:
         InputError: If the name is unknown or the controller cannot run on the task.
     """
     scenario = protocol.declared_scenario(part)
-    collection, folder = name, Path(name) / scenario.task_name
-    name = str(folder) if folder.is_dir() else name
+    collection = Path(name)
+    of_task = agent_of_task(collection, scenario.task_name)
+    name = name if of_task is None else str(of_task)
     controller = make_controller(name, scenario)
     # A registered name is that of a controller also where a folder has the same name.
     sources = () if name in CONTROLLERS else map(CONTROLLER_SOURCES.get, CONTROLLER_SOURCES)
@@ -119,7 +120,7 @@ def make_entry(name: str, protocol: Protocol, part: str) -> tuple[Entry, Control
     entry = _controller_entry(name, controller)
     if files:
         entry = Entry(
-            Path(collection).name if folder.is_dir() else files.name,
+            files.name if of_task is None else collection.name,
             "agent",
             _hash(files.files),
             files.algorithm,
@@ -133,6 +134,12 @@ def make_entry(name: str, protocol: Protocol, part: str) -> tuple[Entry, Control
         controller = OutputFeedbackController(controller, StateEstimator(observed, protocol.period))
         return entry._replace(observes="Kalman estimates"), controller
     return entry._replace(observes="state" if observed is None else "measurements"), controller
+
+
+def agent_of_task(collection: Path, task: str) -> Path | None:
+    """Return the folder or the model.zip of the agent of a task in a folder of several agents; None if it has none."""
+    folder, file = collection / task, collection / f"{task}.zip"
+    return folder if folder.is_dir() else file if file.is_file() else None
 
 
 def _controller_entry(name: str, controller: Controller) -> Entry:

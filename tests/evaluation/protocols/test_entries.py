@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 from hframe_gym.controllers import CONTROLLERS, Controller
+from hframe_gym.envs.sb3_vec_env import HFrameVecEnv
+from hframe_gym.errors import InputError
 from hframe_gym.evaluation import (
     PROTOCOLS,
     Entry,
@@ -54,6 +56,27 @@ def test_controllers_of_the_full_state_get_estimates_in_hard() -> None:
     assert entry.kind == "controller"
     assert len(_FirstMeasurement.widths) == 2
     assert len(_FirstMeasurement.widths[0]) == 8  # positions and velocities of x, y and both motors
+
+
+def test_a_folder_with_a_model_for_each_task_enters_hard(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stable_baselines3 = pytest.importorskip("stable_baselines3")
+    for task, name in (("reach", "HFrame-v0"), ("track", "HFrameTrack-v0")):
+        envs = HFrameVecEnv(1, env_id=name, normalize=True, sensors="rig")
+        few = {"n_steps": 2, "batch_size": 2, "device": "cpu"}
+        stable_baselines3.PPO("MultiInputPolicy", envs, **few).save(tmp_path / task)
+    protocol = small("hard-v1", draws=2, duration_s=0.02)
+    for part in protocol.parts:
+        entry, _ = make_entry(str(tmp_path), protocol, part)
+        assert (entry.name, entry.kind, entry.observes) == (tmp_path.name, "agent", "Kalman estimates")
+    # What cannot run on a later part is refused before the first one is simulated.
+    monkeypatch.setattr(
+        "hframe_gym.evaluation.protocols.entries.rollout", lambda *_: pytest.fail("simulated")
+    )
+    protocol = dataclasses.replace(protocol, digest=protocol.compute_digest())
+    with pytest.raises(InputError, match="does not observe preview"):
+        run_protocol(str(tmp_path / "reach.zip"), protocol)
 
 
 def test_agents_are_identified_by_their_files() -> None:
