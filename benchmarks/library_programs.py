@@ -227,7 +227,7 @@ def draw(programs: dict[str, Any]) -> None:
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    figure, axis = plt.subplots(figsize=(6.4, 3.6), layout="constrained")
+    figure, axis = plt.subplots(figsize=(7.2, 3.6), layout="constrained")
     for section, result in programs.items():
         by_steps: dict[int, list[dict[str, Any]]] = {}
         for row in result["runs"]:
@@ -252,7 +252,7 @@ def draw(programs: dict[str, Any]) -> None:
     axis.minorticks_off()
     axis.set_xlabel("processor time of one core, s")
     axis.set_ylabel("median distance to the goal, mm")
-    axis.legend(framealpha=1.0, edgecolor="none")
+    figure.legend(loc="outside right upper", edgecolor="none")  # beside the axis: curves fill all of it
     save_figure(figure, FIGURES / f"{NAME}.png")
 
 
