@@ -115,14 +115,15 @@ class Agent(Controller):
         previews = "preview" in self.policy.observation_space.spaces
         if previews != ("preview" in observation):
             raise InputError(
-                f"agent {self.card['name']}: was trained {'with' if previews else 'without'} a preview of the goal, "
-                f"for the task {self.card['task']}; run it on the task {self.card['task']}"
+                f"agent {self.card['name']}: was trained {'with' if previews else 'without'} a preview "
+                f"of the goal, for the task {self.card['task']}; run it on the task {self.card['task']}"
             )
         for key, space in self.policy.observation_space.spaces.items():
             if key in observation and observation[key].shape[1:] != space.shape:
                 raise InputError(
-                    f"agent {self.card['name']}: {key} has shape {observation[key].shape}, but the agent was trained "
-                    f"on (batch, {space.shape[0]}); evaluate it with the machine and the sensors of its training"
+                    f"agent {self.card['name']}: {key} has shape {observation[key].shape}, "
+                    f"but the agent was trained on (batch, {space.shape[0]}); "
+                    "evaluate it with the machine and the sensors of its training"
                 )
         policy_input = self.mapping.augment(observation) if self.mapping else observation
         policy_input = {key: policy_input[key] for key in self.policy.observation_space.spaces}

@@ -164,7 +164,8 @@ def refuse_to_replace(folder: Path, recipe: str, task: str, machine: str, seed: 
         by = "with --resume" if alone else f"alone with `{command}` (other options as before, without --ray)"
         advice.append(f"continue the run {by}")
     raise InputError(
-        f"{folder}: holds {described}, which training would replace; {', '.join(advice)}, or replace it with --force"
+        f"{folder}: holds {described}, which training would replace; "
+        f"{', '.join(advice)}, or replace it with --force"
     )
 
 

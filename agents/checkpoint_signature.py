@@ -57,8 +57,8 @@ def refuse_unsigned(path: Path) -> None:
     valid = key and size >= 0 and trailer.startswith(_MARK)
     if not valid or not hmac.compare_digest(trailer[len(_MARK) :], _signature(path, size, key)):
         raise InputError(
-            f"{path}: was not written by this installation, and loading it can execute code that it contains; if you "
-            "trust its origin, add --trust"
+            f"{path}: was not written by this installation, and loading "
+            "it can execute code that it contains; if you trust its origin, add --trust"
         )
 
 

@@ -49,8 +49,8 @@ class AgentSource(ControllerSource):
         if obstacle:
             trained_on = folder / "machine.json" if Path(name).is_dir() else agent.machine.name
             raise InputError(
-                f"agent {name}: {obstacle}. Leave it out, evaluate it on its own (--machine {trained_on}), or train "
-                "an agent for this one (hframe train ppo)"
+                f"agent {name}: {obstacle}. Leave it out, evaluate it on its own (--machine {trained_on}), "
+                "or train an agent for this one (hframe train ppo)"
             )
         mismatch = agent.mismatch(scenario.declared_machine, scenario.period, scenario.sensors)
         if mismatch:
@@ -63,7 +63,10 @@ class AgentSource(ControllerSource):
         names = _recipes_of(_shipped_folders(scenario.task_name))
         if not names:
             return f"the folder of a trained agent (none was shipped for the task {scenario.task_name})"
-        return f"the folder of a trained agent; or a shipped agent ({', '.join(names)}, or one of them by NAME-seedN)"
+        return (
+            "the folder of a trained agent; "
+            f"or a shipped agent ({', '.join(names)}, or one of them by NAME-seedN)"
+        )
 
     @staticmethod
     @override
@@ -149,8 +152,8 @@ def start_agent_folder(recipe: Recipe, task: str, machine: Machine, previews: in
         )
     if obstacle:
         raise InputError(
-            f"recipe {recipe.name}: continues the shipped agent {folder.name}, which {obstacle}. Train an agent from "
-            "random weights instead: hframe train ppo, with the other options unchanged"
+            f"recipe {recipe.name}: continues the shipped agent {folder.name}, which {obstacle}. "
+            "Train an agent from random weights instead: hframe train ppo, with the other options unchanged"
         )
     return folder
 

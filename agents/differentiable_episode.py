@@ -54,8 +54,8 @@ class SimulatedPeriod:
         longest_s = max((float(delay) for delay in Equations(machine).voltage_delays()), default=0.0)
         if longest_s > period:
             raise InputError(
-                f"machine {machine.name!r} has a dead time of {longest_s:g} s; analytic gradients support one of at "
-                f"most a control period, {period:g} s"
+                f"machine {machine.name!r} has a dead time of {longest_s:g} s; "
+                f"analytic gradients support one of at most a control period, {period:g} s"
             )
         self._motion = DifferentiableMotion(
             self._end_stops.machine, period / SAMPLES, longest_step=INTEGRATION_STEP, friction=FRICTION

@@ -151,7 +151,8 @@ def check_transfers(designed: TransferDesign, transfers: Sequence[int]) -> None:
     if not 0 <= min(transfers) <= max(transfers) <= longest:
         name = designed.model.machine.name
         raise InputError(
-            f"transfers are {list(transfers)}; machine {name!r} has those of 0 to {longest} periods beyond the shortest"
+            f"transfers are {list(transfers)}; "
+            f"machine {name!r} has those of 0 to {longest} periods beyond the shortest"
         )
 
 

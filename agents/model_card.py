@@ -158,8 +158,8 @@ def render_card(card: Mapping[str, Any]) -> str:
     randomize = settings["env"].get("randomize", EnvConfig.randomize)
     sections = [
         f"# {card['name']} on {card['task']}, seed {card['seed']}",
-        f"Trained by `hframe train {card['name']} --task {card['task']} --seed {card['seed']} --steps {last['steps']}` "
-        f"in {last['seconds']:.0f} s ({last['cpu_s']:.0f} s of processor time).",
+        f"Trained by `hframe train {card['name']} --task {card['task']} --seed {card['seed']} "
+        f"--steps {last['steps']}` in {last['seconds']:.0f} s ({last['cpu_s']:.0f} s of processor time).",
         f"Machine: `{card['machine']}` (machine.json). Randomization: `{randomize}`. "
         f"Versions: {', '.join(f'{name} {version}' for name, version in card['versions'].items())}.",
     ]

@@ -82,8 +82,8 @@ class Recipe:
         for option in FIXED_OPTIONS:
             if option in self.env:
                 raise InputError(
-                    f"recipe {self.name}: env has the option {option}; machine and task are arguments of `train`, and "
-                    "agents observe a dict in SI units; remove the option"
+                    f"recipe {self.name}: env has the option {option}; machine and task "
+                    "are arguments of `train`, and agents observe a dict in SI units; remove the option"
                 )
         if "use_sde" in self.policy:  # the algorithm passes it to its policy
             raise InputError(f"recipe {self.name}: policy has use_sde; move it to algorithm")
@@ -145,8 +145,8 @@ def require_transfers(recipe: Recipe, machine: Machine, task: str) -> None:
     ]
     raise InputError(
         f"recipe {recipe.name}: needs motions that last up to {needed} control periods longer than the "
-        f"shortest one, but the longest in the workspace of machine {machine.name!r} last {available} periods longer; "
-        f"choose a recipe without them: {', '.join(suitable)}"
+        f"shortest one, but the longest in the workspace of machine {machine.name!r} "
+        f"last {available} periods longer; choose a recipe without them: {', '.join(suitable)}"
     )
 
 
@@ -170,8 +170,8 @@ def build_task(recipe: Recipe, name: str, unit: AxisUnit = METERS) -> Task:
     used, observed = recipe.features.get("preview", 0), len(task.ahead_s)
     if used and used != observed:
         raise InputError(
-            f"recipe {recipe.name}: uses {used} future goals, but the task {name} shows {observed} (ahead_s); let the "
-            f"task show {used}, or choose a recipe that takes any number: ppo, residual"
+            f"recipe {recipe.name}: uses {used} future goals, but the task {name} shows {observed} "
+            f"(ahead_s); let the task show {used}, or choose a recipe that takes any number: ppo, residual"
         )
     return task
 
@@ -214,7 +214,8 @@ def load_recipe(name: str, task: str) -> Recipe:
         listed = ", ".join(" on ".join(recipe.rsplit("_", 1)) for recipe in recipe_names())
         likewise = "" if trained == task else f" (the task {task} has the recipes of {trained})"
         raise InputError(
-            f"there is no recipe for {name} on {trained}{likewise}; choose one of: {listed}{suggestion(name, names)}"
+            f"there is no recipe for {name} on {trained}{likewise}; "
+            f"choose one of: {listed}{suggestion(name, names)}"
         )
     recipe = Recipe(name=f"{name}_{trained}", **tomllib.loads(file.read_text("utf-8")))
     return recipe if trained == task else replace(recipe, task={})

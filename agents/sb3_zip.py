@@ -100,8 +100,8 @@ class ZipSource(ControllerSource):
         wanted = environments[0].single_action_space
         if not _same(model.action_space, wanted):
             raise InputError(
-                f"{name}: its actions are {model.action_space}, those of machine {scenario.declared_machine.name!r} "
-                f"are {wanted}"
+                f"{name}: its actions are {model.action_space}, "
+                f"those of machine {scenario.declared_machine.name!r} are {wanted}"
             )
         for envs in environments:
             if _same(model.observation_space, envs.single_observation_space):
@@ -163,8 +163,8 @@ def _algorithm(path: Path, data: Mapping[str, Any]) -> str:
     if name in ("sac", "td3", *CONTRIB_ALGORITHMS):
         return "CrossQ" if name == "crossq" else name.upper()
     raise InputError(
-        f"{path}: its policy is of the module {module or 'unknown'}; the algorithms are PPO, RecurrentPPO, A2C, SAC, "
-        "TD3, TQC and CrossQ. Wrap another one in a registered controller (docs/extending.md)"
+        f"{path}: its policy is of the module {module or 'unknown'}; the algorithms are PPO, RecurrentPPO, "
+        "A2C, SAC, TD3, TQC and CrossQ. Wrap another one in a registered controller (docs/extending.md)"
     )
 
 
@@ -194,14 +194,15 @@ def _check_scaling(name: str, model: Any) -> None:
     )
     if last is not None and not _within(space, last):
         raise InputError(
-            f"{name}: was trained on observations that were scaled, as by VecNormalize: they lie outside their space. "
+            f"{name}: was trained on observations that were scaled, "
+            "as by VecNormalize: they lie outside their space. "
             f"The statistics, without which the actions mean nothing, are not in this file. {advice}"
         )
     has_replay = hasattr(model, "replay_buffer")
     if not has_replay and getattr(model, "_last_original_obs", None) is not None:
         warnings.warn(
-            f"{name}: was trained with VecNormalize, whose statistics are not in this file. If it scaled only rewards "
-            f"(norm_obs=False), all is well; otherwise the actions mean nothing. {advice}",
+            f"{name}: was trained with VecNormalize, whose statistics are not in this file. If it scaled "
+            f"only rewards (norm_obs=False), all is well; otherwise the actions mean nothing. {advice}",
             stacklevel=2,
         )
 
@@ -255,6 +256,6 @@ def _difference(space: Any, wanted: Any) -> str:
         )
     return (
         f"was trained on other observations: {found}. Evaluate it with the machine, task and sensors of its "
-        "training; a model behind a wrapper that scales, stacks or adds observations needs a registered controller "
-        "(docs/extending.md)"
+        "training; a model behind a wrapper that scales, stacks or adds "
+        "observations needs a registered controller (docs/extending.md)"
     )

@@ -117,7 +117,8 @@ def train(
         trained = card["curve"][-1]["steps"]
         if steps is not None and trained > steps:
             log(
-                f"trained {trained} steps, not {steps}: a run ends with a whole rollout of all its environments"
+                f"trained {trained} steps, not {steps}: "
+                "a run ends with a whole rollout of all its environments"
             )
         return card
 
@@ -239,9 +240,9 @@ class _Run:
         kept_agent = Agent.load(self.folder)
         if not same_parameters(kept_agent.machine, self.machine):
             raise InputError(
-                f"nothing to resume: {self.folder} holds a run on the machine {kept_agent.machine.name!r}, whose "
-                f"parameters are not those of {self.machine.name!r}; resume it with --machine "
-                f"{self.folder / 'machine.json'}"
+                f"nothing to resume: {self.folder} holds a run on the machine {kept_agent.machine.name!r}, "
+                f"whose parameters are not those of {self.machine.name!r}; "
+                f"resume it with --machine {self.folder / 'machine.json'}"
             )
         for file in (checkpoint, environment, replay) if not trust else ():
             if file.is_file():

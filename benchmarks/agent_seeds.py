@@ -82,8 +82,8 @@ def agent_folder(name: str, task: str) -> Path:
     if not complete(folder, load_recipe(recipe, task)):
         place = folder.relative_to(ROOT) if folder.is_relative_to(ROOT) else folder
         raise InputError(
-            f"no agent {name!r} of the task {task}: the package ships none of this seed, and {place} holds no complete "
-            f"one; train it: hframe train {recipe} --task {task} --seed {seed} --out {place}"
+            f"no agent {name!r} of the task {task}: the package ships none of this seed, and {place} holds "
+            f"no complete one; train it: hframe train {recipe} --task {task} --seed {seed} --out {place}"
         )
     return folder
 

@@ -46,13 +46,19 @@ def measure(seed: int, episodes: int, pictures: Path | None = None) -> dict[str,
                 line = f"to {BAND} {time['mean']:.3f} s {time['ci95']}, success {card['success'][BAND]:.3f}"
                 if card["over_bound"] is not None:
                     over = card["over_bound"][BAND]
-                    line += f"; over the bound {over['ratio_of_means']['mean']:.3f}, mean of ratios {over['mean']:.3f}"
+                    line += (
+                        f"; over the bound {over['ratio_of_means']['mean']:.3f}, "
+                        f"mean of ratios {over['mean']:.3f}"
+                    )
             else:
                 parts = (
                     f"{k} {card['contour_mm'][k]['mean']:.3f} {card['contour_mm'][k]['ci95']}"
                     for k in ("rms", "max")
                 )
-                line = f"contour error, mm: {', '.join(parts)}; tracking error {card['tracking_mm']['rms']['mean']:.3f}"
+                line = (
+                    f"contour error, mm: {', '.join(parts)}; "
+                    f"tracking error {card['tracking_mm']['rms']['mean']:.3f}"
+                )
             print(f"{task:10s} {label:14s} {line}", flush=True)
             if pictures is not None:
                 from hframe_gym.evaluation import save_plot

@@ -185,7 +185,10 @@ def show(console: Console, content: dict[str, Any]) -> None:
 def line(row: dict[str, Any]) -> str:
     """Format a rig in one line, with the parameters that are off by more than three standard deviations."""
     off = ", ".join(f"{i['name']} {i['z']:+.1f}" for i in row["intervals"] if abs(i["z"]) > 3.0)
-    return f"{row['rig']} {row['truth']}: chi2 {row['chi2']:.3g} at {row['bandwidth']:g} rad/s; off: {off or 'none'}"
+    return (
+        f"{row['rig']} {row['truth']}: chi2 {row['chi2']:.3g} at {row['bandwidth']:g} rad/s; "
+        f"off: {off or 'none'}"
+    )
 
 
 def main() -> None:

@@ -127,7 +127,8 @@ def main() -> None:
         write_text(session.folder / "formulas.json", json.dumps(rigs[name], indent=1) + "\n")
         print(name, json.dumps(rigs[name]), flush=True)
     print(
-        f"within {100 * (WITHIN - 1):.0f} % of the table: {sum(r['within'] for r in rigs.values())} of {len(rigs)}"
+        f"within {100 * (WITHIN - 1):.0f} % of the table: "
+        f"{sum(r['within'] for r in rigs.values())} of {len(rigs)}"
     )
     if set(rigs) == set(every) and not os.environ.get("HFRAME_NO_RESULTS"):
         print(f"wrote {write_results('formulas', {'runs': RUNS, 'rigs': rigs}, seed=None)}")

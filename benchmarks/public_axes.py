@@ -128,7 +128,8 @@ SETS = {
         0.590,
         "coarse_encoder",
         "the nine data*.csv, each named after its folder,",
-        "--map 'u_V=Channel 4' --unit u_V=% --map 'angle_rad=Channel 2' --unit angle_rad=deg --map time_s=500Hz",
+        "--map 'u_V=Channel 4' --unit u_V=% --map 'angle_rad=Channel 2' "
+        "--unit angle_rad=deg --map time_s=500Hz",
     ),
     "crane_trolley": PublicSet(
         "trolley of a crane, speed alone",

@@ -119,7 +119,10 @@ def line(row: Row) -> str:
     warnings = "" if row["stable"] else "; UNSTABLE"
     warnings += "" if row.get("repeatable", True) else "; ANOTHER REPORT THE SECOND TIME"
     warnings += f"; simulate differs by {row['consistency']:.0%}" if row["consistency"] > 0.05 else ""
-    return f"{marks or 'right '}{row['rig']} {row['truth']}\n    -> {named}; unseen {errors}; {seconds}{warnings}"
+    return (
+        f"{marks or 'right '}{row['rig']} {row['truth']}\n"
+        f"    -> {named}; unseen {errors}; {seconds}{warnings}"
+    )
 
 
 def main() -> None:

@@ -242,8 +242,11 @@ def coverage(rows: list[Row], keep: Callable[[dict[str, Any]], bool]) -> dict[st
         return {"parameters": 0}
     inside = {name: float(np.mean(np.abs(z) <= width)) for name, width in QUANTILES.items()}
     return {
-        "parameters": len(z), **inside, "median": float(np.median(np.abs(z))), "rms": float(np.sqrt(np.mean(z**2))),
-    }  # fmt: skip
+        "parameters": len(z),
+        **inside,
+        "median": float(np.median(np.abs(z))),
+        "rms": float(np.sqrt(np.mean(z**2))),
+    }
 
 
 def _errors(clean: list[Row], residue: list[Row]) -> dict[str, Any]:
@@ -332,22 +335,23 @@ def show(console: Console, content: dict[str, Any]) -> None:
     for name, found in content["coverage"].items():
         if found["parameters"]:
             console.print(
-                f"coverage, {name}: {found['68']:.0%} of 68 %, {found['95']:.0%} of 95 % ({found['parameters']} values)"
+                f"coverage, {name}: {found['68']:.0%} of 68 %, "
+                f"{found['95']:.0%} of 95 % ({found['parameters']} values)"
             )
     for name, found in content["unseen"].items():
         if found["rigs"]:
             console.print(
-                f"unseen, {name.replace('_', ' ')}: median {found['median']:.3g}, 95 % quantile {found['p95']:.3g}, "
-                f"{found['within']:.0%} within {found['limit']}"
+                f"unseen, {name.replace('_', ' ')}: median {found['median']:.3g}, "
+                f"95 % quantile {found['p95']:.3g}, {found['within']:.0%} within {found['limit']}"
             )
     wall, cpu = content["seconds"]["wall"], content["seconds"]["cpu"]
     console.print(
-        f"stable {content['stable']}, simulate equals the report {content['consistent']} of {content['rigs']}; "
-        f"wall {wall['median']:.0f} s median, {wall['most']:.0f} s slowest; "
+        f"stable {content['stable']}, simulate equals the report {content['consistent']} "
+        f"of {content['rigs']}; wall {wall['median']:.0f} s median, {wall['most']:.0f} s slowest; "
         f"cpu {cpu['median']:.0f} s, {cpu['most']:.0f} s"
     )
     if again := content["repeated_seconds"]:
         console.print(
-            f"again, with compiled code: cpu {again['cpu']['median']:.0f} s median, {again['cpu']['most']:.0f} s "
-            f"slowest; {content['repeatable']} reports equal"
+            f"again, with compiled code: cpu {again['cpu']['median']:.0f} s median, "
+            f"{again['cpu']['most']:.0f} s slowest; {content['repeatable']} reports equal"
         )

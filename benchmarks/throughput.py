@@ -101,7 +101,8 @@ def fastest_choice(machine: Machine) -> dict[str, float]:
 def compare_with_mujoco(console: Console, machine: Machine) -> dict[str, Any]:
     """Measure the rates of kernel and MuJoCo in turn, print them, and return the results."""
     table = Table(
-        title=f"Steps per second, step {STEP * 1e3:g} ms, {STAGES} stages, medians of {REPEATS} alternating runs"
+        title=f"Steps per second, step {STEP * 1e3:g} ms, {STAGES} stages, "
+        f"medians of {REPEATS} alternating runs"
     )
     for column in ("stage", "MuJoCo", "cores", "kernel M/s", "MuJoCo M/s", "ratio", "spread"):
         table.add_column(column)
@@ -136,7 +137,8 @@ def compare_with_mujoco(console: Console, machine: Machine) -> dict[str, Any]:
         )
     console.print(table)
     console.print(
-        f"required {BAR:g}, desired {AIM:g}, on all cores with belts that follow the carriage (MuJoCo's do not)"
+        f"required {BAR:g}, desired {AIM:g}, on all cores with belts that "
+        "follow the carriage (MuJoCo's do not)"
     )
     return results
 
@@ -370,8 +372,8 @@ def roofline(console: Console, machine: Machine) -> dict[str, Any]:
         table.add_row(name, value)
     console.print(table)
     console.print(
-        "The limit is the chain of dependent operations of one step (midpoint, belt lengths, division, forces, "
-        "friction, forces, friction, travel) and of the stops, not memory (docs/decisions/0015)."
+        "The limit is the chain of dependent operations of one step (midpoint, belt lengths, division, "
+        "forces, friction, forces, friction, travel) and of the stops, not memory (docs/decisions/0015)."
     )
     return results
 
@@ -394,8 +396,8 @@ def main() -> None:
     content["scipy_lsoda_steps_per_s"] = scipy_rate(machine)
     ours = KernelBatch(machine, STAGES).rate(parallel=False)
     console.print(
-        f"SciPy LSODA, one stage: {content['scipy_lsoda_steps_per_s']:.0f} steps/s; one core of the kernel is "
-        f"{ours / content['scipy_lsoda_steps_per_s']:.0f} times that"
+        f"SciPy LSODA, one stage: {content['scipy_lsoda_steps_per_s']:.0f} steps/s; "
+        f"one core of the kernel is {ours / content['scipy_lsoda_steps_per_s']:.0f} times that"
     )
     write_results("throughput", content, seed=SEED)
 

@@ -52,6 +52,7 @@ if __name__ == "__main__":
     torch.set_num_threads(1)  # the tensors are small: a second thread would only be waited for
     voltages, distance, speed = optimize()
     print(
-        f"after {PERIODS * 10} ms the tool is {1e3 * distance:.3f} mm from the goal, at {1e3 * speed:.2f} mm/s"
+        f"after {PERIODS * 10} ms the tool is {1e3 * distance:.3f} mm from "
+        f"the goal, at {1e3 * speed:.2f} mm/s"
     )
     print(f"largest voltage: {voltages.abs().max():.1f} V")

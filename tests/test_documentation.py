@@ -153,9 +153,13 @@ def test_modules_that_the_documentation_runs_exist() -> None:
 
 def test_links_of_the_site_stay_inside_it() -> None:
     site = pytest.importorskip("tools.docs_site", reason="the site needs the extra docs")
-    text = "[a](../RESULTS.md#x), [b](agents.md), [c](../agents/shipped), ![d](figures/e.png), [f](https://example.org)"
+    text = (
+        "[a](../RESULTS.md#x), [b](agents.md), [c](../agents/shipped), "
+        "![d](figures/e.png), [f](https://example.org)"
+    )
     assert site.resolve_links(text, "docs/page.md", "page.md") == (
-        "[a](results.md#x), [b](agents.md), c (`agents/shipped` in the repository), ![d](figures/e.png), [f](https://example.org)"
+        "[a](results.md#x), [b](agents.md), c (`agents/shipped` in the repository), "
+        "![d](figures/e.png), [f](https://example.org)"
     )
     assert site.resolve_links("[a](docs/errata.md)", "RESULTS.md", "results.md") == "[a](errata.md)"
     assert (

@@ -39,7 +39,11 @@ def test_an_override_is_recognized_over_several_classes(tmp_path: Path) -> None:
         "class A(Generic[T]):\n    def f(self): ...\n    def g(self): ...\nclass B(base.A[int]):\n    x = 1\n"
     )
     (tmp_path / "agents" / "derived.py").write_text(
-        "class C(B):\n    @override\n    def f(self): ...\n    def g(self): ...\n    def __init__(self): ...\n"
+        "class C(B):\n"
+        "    @override\n"
+        "    def f(self): ...\n"
+        "    def g(self): ...\n"
+        "    def __init__(self): ...\n"
     )
     assert measure(tmp_path).unmarked_overrides == ["agents/derived.py:4: C.g"]
 
@@ -154,7 +158,10 @@ def test_the_sample_depends_on_the_seed_only(repository: House, monkeypatch: pyt
 
 def test_the_sample_shows_the_options_of_a_command(tmp_path: Path) -> None:
     (tmp_path / "app.py").write_text('OutOption = Annotated[Path, typer.Option(help="Folder.")]\n')
-    source = "def run(out: OutOption, seed: Annotated[int, typer.Option(help='Seed.')] = 0) -> None:\n    '''Run it.'''"
+    source = (
+        "def run(out: OutOption, seed: Annotated[int, typer.Option(help='Seed.')] = 0) -> None:\n"
+        "    '''Run it.'''"
+    )
     (tmp_path / "module.py").write_text(source)
     assert describe(_function(source), root=tmp_path).splitlines()[1:] == [
         "run(out: OutOption, seed: int=0) -> None",

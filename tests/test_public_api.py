@@ -37,8 +37,8 @@ def test_importing_registers_the_environments_without_loading_the_simulator() ->
     code = (
         "import sys, hframe_gym, gymnasium;"
         "assert {'HFrame-v0', 'HFrameTrack-v0'} <= set(gymnasium.registry);"
-        "heavy = ('numba', 'scipy', 'torch', 'matplotlib', 'pydantic', 'pygame', 'rich', 'hframe_gym.dynamics');"
-        "print([m for m in heavy if m in sys.modules])"
+        "heavy = ('numba', 'scipy', 'torch', 'matplotlib', 'pydantic', "
+        "'pygame', 'rich', 'hframe_gym.dynamics');print([m for m in heavy if m in sys.modules])"
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert result.stdout.strip() == "[]"

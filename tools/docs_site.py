@@ -125,8 +125,8 @@ def commands_page() -> str:
     """
     sections = [
         "# Command line\n\nGenerated from the help texts of `hframe COMMAND --help`.",
-        "`hframe` and `python -m hframe_gym` are the same. Exit codes: 0 done, 1 internal error or a fault found by "
-        "`hframe check`, 2 the input is at fault.",
+        "`hframe` and `python -m hframe_gym` are the same. "
+        "Exit codes: 0 done, 1 internal error or a fault found by `hframe check`, 2 the input is at fault.",
     ]
     _add_commands(sections, typer.main.get_command(app), "hframe")
     return "\n\n".join(sections) + "\n"

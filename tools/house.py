@@ -310,17 +310,20 @@ def main() -> None:
     longest = sorted(house.module_lines.items(), key=lambda item: -item[1])[:5]
     long_functions = sorted(house.functions, key=lambda function: -function.lines)[:5]
     print(
-        f"words per 1000 lines: {house.words_per_1000_lines:.1f} (limit {MAX_WORDS_PER_1000_LINES:g}): {listed}"
+        f"words per 1000 lines: {house.words_per_1000_lines:.1f} (limit "
+        f"{MAX_WORDS_PER_1000_LINES:g}): {listed}"
     )
     print(f"lines of hframe_gym and agents: {house.lines}")
     print(
-        f"in hframe_gym without effects/: {len(house.modules)} modules, {len(house.packages)} package __init__ files"
+        f"in hframe_gym without effects/: {len(house.modules)} modules, "
+        f"{len(house.packages)} package __init__ files"
     )
     print(f"longest modules: {', '.join(f'{path} {count}' for path, count in longest)}")
     print(f"longest functions: {', '.join(f'{_where(f)} {f.lines}' for f in long_functions)}")
     shares = sorted(house.docstring_shares.items(), key=lambda item: -item[1][0])
     print(
-        f"docstrings: {', '.join(f'{room} {100 * part / count:.0f} % of {count}' for room, (count, part) in shares)}"
+        "docstrings: "
+        f"{', '.join(f'{room} {100 * part / count:.0f} % of {count}' for room, (count, part) in shares)}"
     )
     print(f"public functions without docstring: {len(house.undocumented)} of {len(house.public_functions)}")
     print(f"public functions with an array without shape or a number without unit: {len(house.vague)}")

@@ -111,7 +111,10 @@ def _read_only_work(stage: Stage, log: Log) -> Row:
     failures = []
     for job in JOBS.values():
         work = stage.fresh(job, "read-only")
-        script = f"mount --bind {work} {work} && mount -o remount,bind,ro {work} && cd {work} && {command(job, stage)}"
+        script = (
+            f"mount --bind {work} {work} && mount -o remount,bind,ro {work} "
+            f"&& cd {work} && {command(job, stage)}"
+        )
         finished = in_namespace(script, stage.folder)
         outcome = stage.outcome(job, work) if job.name != "train" else _nothing_half(work)
         said = len(finished.errors) == 1 and "Read-only file system" in finished.errors[0]

@@ -66,8 +66,8 @@ def kills(stage: Stage, log: Log) -> list[Row]:
             elif stage.outcome(job, work) != "new":
                 failures.append(f"after {moment:.2f} s: running it again gives {stage.outcome(job, work)}")
         note = (
-            f"old output {outcomes['old']} times, new output {outcomes['new']} times; unfinished files {unfinished} "
-            "times, gone at the next writer; run again: the new output"
+            f"old output {outcomes['old']} times, new output {outcomes['new']} times; "
+            f"unfinished files {unfinished} times, gone at the next writer; run again: the new output"
         )
         rows.append(row("kill -9", f"`{name}`", count, failures, note))
         log(f"kill -9 {name}: {dict(outcomes)} {failures}")

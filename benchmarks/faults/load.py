@@ -114,7 +114,10 @@ def _side_by_side() -> Row:
             del answer["seconds"]
         failures += [f"run {i}: another answer" for i, answer in enumerate(answers) if answer != answers[0]]
         again = run((*words[0][:-1], "again"), folder, cache)
-    note = f"equal answers; {max(f.seconds for f in finished):.0f} s together, {again.seconds:.0f} s for one more"
+    note = (
+        f"equal answers; {max(f.seconds for f in finished):.0f} s together, "
+        f"{again.seconds:.0f} s for one more"
+    )
     return row("load", f"{SIDE_BY_SIDE} identifications at once, empty cache", SIDE_BY_SIDE, failures, note)
 
 

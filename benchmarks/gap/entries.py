@@ -505,8 +505,8 @@ def get_entry(name: str) -> type[GapEntry]:
     if saved := read_name(name):
         return _made(saved.label, SavedPolicies, paths=saved.paths, measured=saved.measured)
     raise InputError(
-        f"entry {name!r} is unknown; choose of {', '.join(entry_names())}, REACH+TRACK of two saved policies, or "
-        "package.module:Class"
+        f"entry {name!r} is unknown; choose of {', '.join(entry_names())}, "
+        "REACH+TRACK of two saved policies, or package.module:Class"
     )
 
 

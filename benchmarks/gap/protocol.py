@@ -138,8 +138,8 @@ def check() -> None:
     digest = compute_digest()
     if digest != DIGEST:
         raise InputError(
-            f"protocol {NAME}: this checkout gives other plants or episodes (digest {digest}, not {DIGEST}), so scores "
-            "would not be comparable; use a checkout with this protocol"
+            f"protocol {NAME}: this checkout gives other plants or episodes (digest {digest}, "
+            f"not {DIGEST}), so scores would not be comparable; use a checkout with this protocol"
         )
 
 

@@ -115,8 +115,8 @@ def read(path: Path) -> dict[str, Any]:
         ) from None
     if (found["schema"], found["protocol"], found["digest"]) != (SCHEMA, NAME, DIGEST):
         raise InputError(
-            f"{path}: schema {found['schema']}, protocol {found['protocol']}, digest {found['digest']}: it must be "
-            f"{SCHEMA}, {NAME}, {DIGEST}; it was scored on other plants or episodes"
+            f"{path}: schema {found['schema']}, protocol {found['protocol']}, digest {found['digest']}: "
+            f"it must be {SCHEMA}, {NAME}, {DIGEST}; it was scored on other plants or episodes"
         )
     if found["checksum"] != _checksum(content):
         raise InputError(
@@ -135,8 +135,8 @@ def read(path: Path) -> dict[str, Any]:
         if least is not None and impossible.any():
             draw = int(np.flatnonzero(impossible)[0])
             raise InputError(
-                f"{path}: plant {row['plant']}: move {draw} takes {times[draw]:g} s, less than the shortest possible "
-                f"time, {least[draw]:.4f} s"
+                f"{path}: plant {row['plant']}: move {draw} takes {times[draw]:g} s, "
+                f"less than the shortest possible time, {least[draw]:.4f} s"
             )
     return dict(content)
 

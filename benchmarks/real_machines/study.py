@@ -85,7 +85,8 @@ def print_effects(answer: IdentificationResult, console: Console) -> None:
         f"{d['variable']} {100 * d['share']:.0f} %" for d in report["residual"]["depends_on"][:4]
     )
     console.print(
-        f"verdict {report['verdict']} in {report['seconds']:.1f} s; the residual force before depends on: {follows}"
+        f"verdict {report['verdict']} in {report['seconds']:.1f} s; "
+        f"the residual force before depends on: {follows}"
     )
 
 

@@ -40,8 +40,8 @@ class CheckStage(Stage):
     key, title, action = "check", "Check", "Check the runs"
     expected_codes = (0, 1)  # 1: there are faults, which the stage shows
     purpose = (
-        "Before a fit: clock, sensors, wiring, excitation, and which parameters these runs can determine. A fault "
-        "makes a fit meaningless; advice is worth a look."
+        "Before a fit: clock, sensors, wiring, excitation, and which parameters these runs can determine. "
+        "A fault makes a fit meaningless; advice is worth a look."
     )
 
     def __init__(self, page: Any) -> None:

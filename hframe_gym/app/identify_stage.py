@@ -25,9 +25,9 @@ class IdentifyStage(Stage):
 
     key, title, action = "identify", "Identify", "Identify"
     purpose = (
-        "Fit the machine to the runs, then search for what its model lacks: friction, delays, play and others. Some "
-        "runs are held out and only judge the result. You may stop at any time; the best machine so far is tested and "
-        "kept."
+        "Fit the machine to the runs, then search for what its model lacks: "
+        "friction, delays, play and others. Some runs are held out and only judge the result. "
+        "You may stop at any time; the best machine so far is tested and kept."
     )
 
     def __init__(self, page: Any) -> None:
@@ -123,8 +123,8 @@ class IdentifyStage(Stage):
         if progress.errors:
             ratio = progress.errors[-1][1] ** 0.5
             self._error.set_text(
-                f"Error of the best machine so far: {number(ratio)} times the sensors' noise, rms of its short "
-                "predictions; the dashed line is the noise."
+                f"Error of the best machine so far: {number(ratio)} times the sensors' noise, "
+                "rms of its short predictions; the dashed line is the noise."
             )
         self._chart.set_visibility(bool(progress.errors))
         if progress.errors and (job.running or self._drawn != len(progress.errors)):

@@ -44,8 +44,8 @@ class LogsStage(Stage):
 
     key, title, action = "logs", "Logs", "Import these runs"
     purpose = (
-        "Drop the logs of the controller or data logger as they are: any separator, decimal mark and unit. Each column "
-        "is drawn with what it is taken for; correct what is wrong, then import."
+        "Drop the logs of the controller or data logger as they are: any separator, decimal mark and unit. "
+        "Each column is drawn with what it is taken for; correct what is wrong, then import."
     )
 
     def __init__(self, page: Any) -> None:

@@ -36,8 +36,8 @@ class MachineStage(Stage):
 
     key, title, action = "machine", "Machine", "Create this machine"
     purpose = (
-        "Describe the machine as its data sheets do. Identification corrects the values; it needs the right structure "
-        "and the right order of magnitude."
+        "Describe the machine as its data sheets do. Identification corrects the values; "
+        "it needs the right structure and the right order of magnitude."
     )
 
     def __init__(self, page: Any) -> None:

@@ -227,7 +227,10 @@ class Stage(ABC):
         """Return a line about the end of a job."""
         if job.exit_code == 0:
             return f"done in {job.seconds:.1f} s"
-        return f"{'stopped' if job.stopped else 'ended'} with exit code {job.exit_code} after {job.seconds:.1f} s"
+        return (
+            f"{'stopped' if job.stopped else 'ended'} with exit code "
+            f"{job.exit_code} after {job.seconds:.1f} s"
+        )
 
 
 def banner(tone: Literal["good", "neutral", "warning"], title: str, text: str) -> None:

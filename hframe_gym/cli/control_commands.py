@@ -333,7 +333,8 @@ def play(
             "outside the band" if stage.settled_s is None else f"in the band since {stage.settled_s:.2f} s"
         )
         log(
-            f"{stage.name}: {1e3 * stage.distance:.3f} {small} from the goal after {stage.elapsed_s:.2f} s, {state}"
+            f"{stage.name}: {1e3 * stage.distance:.3f} {small} from the goal "
+            f"after {stage.elapsed_s:.2f} s, {state}"
         )
     if picture is not None:
         game.save_picture(picture)

@@ -57,7 +57,8 @@ def identify(
         Option(
             min=1,
             max=1024,
-            help="Number of threads (default: all cores); with several rigs, number of rigs at a time (default: 1).",
+            help="Number of threads (default: all cores); "
+            "with several rigs, number of rigs at a time (default: 1).",
         ),
     ] = None,
     # Kept for scripts that pass it.
@@ -70,8 +71,9 @@ def identify(
         float | None,
         Option(
             min=0.0,
-            help="Processor time for a rig, s (default: 120), all threads together, from reading its files to its "
-            "report. The search ends in time with the best machine so far (0: refit only; inf: no limit).",
+            help="Processor time for a rig, s (default: 120), "
+            "all threads together, from reading its files to its report. "
+            "The search ends in time with the best machine so far (0: refit only; inf: no limit).",
         ),
     ] = None,
     ray: RayOption = None,

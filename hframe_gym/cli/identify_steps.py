@@ -38,8 +38,8 @@ def require_several_runs(recordings: Sequence[Recording], folder: Path) -> None:
     seconds = run.time_s[-1] - run.time_s[0]
     options = "--split-at-rests (--split-every 5 if it has none; and the --machine of this command)"
     raise InputError(
-        f"{folder}: has the single run {run.name!r} of {seconds:.4g} s; at least two are needed, because one is held "
-        f"out. Record more runs, or cut it at its rests: hframe import {file} --out RUNS {options}"
+        f"{folder}: has the single run {run.name!r} of {seconds:.4g} s; at least two are needed, because one "
+        f"is held out. Record more runs, or cut it at its rests: hframe import {file} --out RUNS {options}"
     )
 
 

@@ -122,7 +122,8 @@ def new_machine_file(
     like: Annotated[
         str,
         Option(
-            help="Template: hframe, corexy, printer, axis, belt-axis, xy-table, motor, pendulum, wheel or servo."
+            help="Template: hframe, corexy, printer, axis, belt-axis, xy-table, "
+            "motor, pendulum, wheel or servo."
         ),
     ] = "",
     out: Annotated[Path | None, Option(help="File to write.")] = None,
@@ -152,7 +153,8 @@ def new_machine_file(
     sensor: Annotated[
         list[str] | None,
         Option(
-            help="Further sensor, KIND@PART, e.g. speed@x or current@motor1 (repeat for more): {sensor_kinds}."
+            help="Further sensor, KIND@PART, e.g. speed@x or current@motor1 "
+            "(repeat for more): {sensor_kinds}."
         ),
     ] = None,
     values: Annotated[

@@ -19,8 +19,8 @@ MaxRowsOption = Annotated[
     Option(
         "--max-rows",
         min=1000,
-        help="Largest number of rows of all runs together. Of each of N runs, the first max-rows / N rows are used, "
-        "but at least 20,000.",
+        help="Largest number of rows of all runs together. "
+        "Of each of N runs, the first max-rows / N rows are used, but at least 20,000.",
     ),
 ]
 TaskOption = Annotated[str, Option(help=option_texts.TASK)]
@@ -45,7 +45,8 @@ RayOption = Annotated[
     str | None,
     Option(
         metavar="[ADDRESS]",
-        help="Run on a Ray cluster at HOST:PORT, or auto to find it; with --ray alone, Ray starts on this machine.",
+        help="Run on a Ray cluster at HOST:PORT, or auto to find it; "
+        "with --ray alone, Ray starts on this machine.",
     ),
 ]
 

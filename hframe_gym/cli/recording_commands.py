@@ -38,7 +38,8 @@ def examples(out: Annotated[Path, Option(help="Folder to create; an existing one
     copied = copy_examples(out)
     log(f"wrote {', '.join(map(str, copied))}")
     log(
-        f"Next: hframe check {out / 'rig_a'}, then hframe identify {out / 'rig_a'} --out {Path('out', 'rig_a')}"
+        f"Next: hframe check {out / 'rig_a'}, then hframe identify {out / 'rig_a'} "
+        f"--out {Path('out', 'rig_a')}"
     )
 
 
@@ -55,7 +56,8 @@ def import_logs(
     map: Annotated[
         list[str] | None,
         Option(
-            help="CHANNEL=COLUMN, e.g. v1_V=U1, x_m='#4' (fourth column), y_m=none, or time_s=200Hz without a column."
+            help="CHANNEL=COLUMN, e.g. v1_V=U1, x_m='#4' (fourth column), "
+            "y_m=none, or time_s=200Hz without a column."
         ),
     ] = None,
     unit: Annotated[
@@ -177,7 +179,8 @@ def check(
         log(f"wrote {json}")
     if any(finding.severity == "fault" for finding in findings):
         log(
-            "Next: correct what the faults name, and check again; `hframe identify` stops at faults without --force"
+            "Next: correct what the faults name, and check again; "
+            "`hframe identify` stops at faults without --force"
         )
         raise typer.Exit(FAULT_FOUND)
     words = (str(runs_dir), "--machine", machine, "--out", str(Path("out", runs_dir.name)))

@@ -157,7 +157,10 @@ class AdaptiveController(FullStateController):
         )
         goals = self._dead_time.delayed_goals(goals)[:, : PERIODS_AHEAD + 2]
         if goals.shape[1] < PERIODS_AHEAD + 2:
-            reach = f"the preview ends {goals.shape[1] - 1} periods after the dead time, {PERIODS_AHEAD + 1} are needed"
+            reach = (
+                f"the preview ends {goals.shape[1] - 1} periods after the dead time, "
+                f"{PERIODS_AHEAD + 1} are needed"
+            )
             raise InputError(f"{reach}; increase the task's previews")
         ahead = self._filter.friction_voltage_ahead(goals) / self.model.rated
         self.expected_friction = np.concatenate([ahead, recent[:, None]], axis=1).reshape(len(goals), -1)

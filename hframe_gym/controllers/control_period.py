@@ -43,7 +43,7 @@ def period_concern(machine: Machine, period: float) -> str | None:
         return None
     slowest = belt_modes(machine)[0]
     return (
-        f"machine {machine.name!r}: its slowest belt mode, {slowest:.0f} Hz, is above half the control rate of "
-        f"{1.0 / period:.0f} Hz, so no controller can damp it; try a control period of {shorter:g} s "
-        f"(--period {shorter:g})"
+        f"machine {machine.name!r}: its slowest belt mode, {slowest:.0f} Hz, "
+        f"is above half the control rate of {1.0 / period:.0f} Hz, so no controller can damp it; "
+        f"try a control period of {shorter:g} s (--period {shorter:g})"
     )

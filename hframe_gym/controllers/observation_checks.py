@@ -18,8 +18,9 @@ LARGEST_STRETCH = 0.05
 # rad. With `normalize=True` an angle is at most 1.5, its bound over its scale; such an angle moves a belt by 1 or 2 cm.
 LARGEST_NORMALIZED = 1.5
 _ADVICE = (
-    "controllers and agents need SI units by key; make them for the environment, make_controller(name, env), which "
-    "undoes normalize and flat, or make the environment without normalize, flat and wrappers that scale observations"
+    "controllers and agents need SI units by key; "
+    "make them for the environment, make_controller(name, env), which undoes normalize and flat, "
+    "or make the environment without normalize, flat and wrappers that scale observations"
 )
 
 
@@ -29,8 +30,8 @@ def check_keys(observation: Any) -> None:
         raise InputError(f"observation is one array of shape {np.shape(observation)}, not a dict: {_ADVICE}")
     if observation["observation"].ndim == 1:
         raise InputError(
-            "observation is that of one machine, without batch axis; make the controller for the environment, "
-            "make_controller(name, env), or give arrays of shape (1, entries)"
+            "observation is that of one machine, without batch axis; make the controller "
+            "for the environment, make_controller(name, env), or give arrays of shape (1, entries)"
         )
 
 
@@ -67,8 +68,8 @@ def check_state_units(observation: KeyedObservation, model: MotionModel) -> None
         position = ", ".join(f"{value:.3g}" for value in achieved[b])
         turned = ", ".join(f"{value:.3g}" for value in angles[b])
         raise InputError(
-            f"observation is not in SI units: at the position ({position}) m the pulleys cannot be at ({turned}) rad, "
-            f"as if the environment had normalize=True; {_ADVICE}"
+            f"observation is not in SI units: at the position ({position}) "
+            f"m the pulleys cannot be at ({turned}) rad, as if the environment had normalize=True; {_ADVICE}"
         )
 
 
@@ -98,8 +99,8 @@ def check_goal_units(observation: KeyedObservation, machine: Machine) -> None:
                     else "as if in mm or deg"
                 )
                 raise InputError(
-                    f"observation is not in SI units: {key} has {axis} = {values[wrong][0]:.3g}, and the workspace is"
-                    f" {low:g} to {high:g} {machine.axis_unit.name}, {reason}; {_ADVICE}"
+                    f"observation is not in SI units: {key} has {axis} = {values[wrong][0]:.3g}, "
+                    f"and the workspace is {low:g} to {high:g} {machine.axis_unit.name}, {reason}; {_ADVICE}"
                 )
 
 

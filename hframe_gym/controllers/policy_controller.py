@@ -72,8 +72,8 @@ class PolicyController(Controller):
         expected = (len(observation["observation"]), len(self.machine.drives))
         if actions.shape != expected:
             raise InputError(
-                f"the policy returned actions of shape {actions.shape} for {expected[0]} observations; return one row "
-                f"for each observation, shape {expected}"
+                f"the policy returned actions of shape {actions.shape} for {expected[0]} observations; "
+                f"return one row for each observation, shape {expected}"
             )
         if not np.isfinite(actions).all():
             raise InputError("the policy returned an action that is not finite")

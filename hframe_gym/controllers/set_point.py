@@ -62,8 +62,8 @@ class SetPointController(Controller):
         others = [d.name for d in machine.drives if not d.law or d.command not in ("position", "speed")]
         if others or not machine.drives:
             raise InputError(
-                f"machine {machine.name!r}: set-point streams positions or speeds, but {', '.join(others)} takes "
-                "another command; use pid, which computes voltages, currents or torques"
+                f"machine {machine.name!r}: set-point streams positions or speeds, but {', '.join(others)} "
+                "takes another command; use pid, which computes voltages, currents or torques"
             )
         if not machine.tool_axes or len(machine.tool_axes) != len(machine.drives):
             raise InputError(f"machine {machine.name!r}: set-point needs a tool and one drive per axis of it")
@@ -140,8 +140,8 @@ class SetPointController(Controller):
         if np.isfinite(min(jumps)) and (widths > LONGEST_CROSSING_S * self.speed).any():
             speed = ", ".join(f"{s:.2g}" for s in self.speed)
             return (
-                f"set points that are held for {self.period:g} s move the tool at {speed} m/s at most without losing "
-                "steps; a shorter control period permits more (--period 0.001)"
+                f"set points that are held for {self.period:g} s move the tool at {speed} "
+                "m/s at most without losing steps; a shorter control period permits more (--period 0.001)"
             )
         return None
 

@@ -78,9 +78,9 @@ class TextbookPID(FullStateController):
         if largest <= 1.0 + 1e-9:
             return None
         return (
-            f"textbook-pid is unstable on machine {self.machine.name!r} at a control period of {self.period:g} s, "
-            "unless dry friction or effects damp it (largest eigenvalue of the closed loop without them "
-            f"{largest:.2f}): its one-mass model ignores that the belts stretch"
+            f"textbook-pid is unstable on machine {self.machine.name!r} at a control period "
+            f"of {self.period:g} s, unless dry friction or effects damp it (largest eigenvalue of the closed "
+            f"loop without them {largest:.2f}): its one-mass model ignores that the belts stretch"
         )
 
     @override

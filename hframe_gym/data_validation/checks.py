@@ -80,8 +80,8 @@ def check_recordings(recordings: Sequence[Recording], machine: Machine) -> list[
             message = "nothing moves in this run: it only determines the noise of the sensors"
             if recording.name in silent:
                 message = (
-                    f"nothing moves in this run, although {silent[recording.name]} starts to move with no more: was "
-                    "the sensor read, and was the drive on? It is not fitted"
+                    f"nothing moves in this run, although {silent[recording.name]} "
+                    "starts to move with no more: was the sensor read, and was the drive on? It is not fitted"
                 )
             findings.append(Finding("advice", recording.name, "", message))
     findings += check_excitation(cleaned, data, machine)
@@ -225,22 +225,24 @@ def _describe_motion(recording: Recording, rest: InitialRest, names: Sequence[st
     inputs = " and ".join(machine.input_channels)
     if not np.any(recording.inputs):
         return (
-            f"{sensors} while {inputs} {'is' if len(machine.drives) == 1 else 'are'} 0 throughout: the voltage was not "
-            "logged, or something else moved the machine. Correct the column, or delete the run"
+            f"{sensors} while {inputs} {'is' if len(machine.drives) == 1 else 'are'} 0 throughout: "
+            "the voltage was not logged, or something else moved the machine. "
+            "Correct the column, or delete the run"
         )
     if rest.lead_s:
         return (
-            f"{sensors} {1e3 * rest.lead_s:.0f} ms or more before the first input: is {inputs} logged late, or did "
-            "something else move the machine? A fit needs the voltage at the time at which it acts"
+            f"{sensors} {1e3 * rest.lead_s:.0f} ms or more before the first input: is {inputs} logged late, "
+            "or did something else move the machine? A fit needs the voltage at the time at which it acts"
         )
     if rest.first:
         milliseconds = 1e3 * float(recording.time_s[rest.first] - recording.time_s[0])
         return (
-            f"the machine still moves when the run begins: the first {milliseconds:.0f} ms are not used. Let it come "
-            "to rest before the recording"
+            f"the machine still moves when the run begins: the first {milliseconds:.0f} ms are not used. "
+            "Let it come to rest before the recording"
         )
     return (
-        "the machine moves before the first input, so its initial velocity is estimated from the first measurements. "
+        "the machine moves before the first input, "
+        "so its initial velocity is estimated from the first measurements. "
         "Let it come to rest before the recording, unless a force or an offset of the voltage moves it"
     )
 
@@ -256,16 +258,16 @@ def _short_rest(recording: Recording, rest: InitialRest, data: Dataset) -> list[
         if not any(run.initial.velocity.any() for run in data.runs if run.name == recording.name):
             return []
         message = (
-            "begins in motion, so the initial velocity is estimated from the first measurements: begin the recording "
-            "at rest if you can"
+            "begins in motion, so the initial velocity is estimated from the first measurements: "
+            "begin the recording at rest if you can"
         )
         return [Finding("advice", recording.name, "", message)]
     seconds = float(recording.time_s[rest.rows - 1] - recording.time_s[0])
     if seconds >= _MIN_REST - _REST_TOLERANCE:
         return []
     message = (
-        f"{rest.rows} rows ({1e3 * seconds:.3g} ms) at rest before the first input: initial state and zeros of the "
-        "encoders are uncertain"
+        f"{rest.rows} rows ({1e3 * seconds:.3g} ms) at rest before the first input: "
+        "initial state and zeros of the encoders are uncertain"
     )
     return [Finding("advice", recording.name, "", message)]
 
@@ -280,7 +282,10 @@ def _sensor_noise(data: Dataset, machine: Machine) -> list[Finding]:
         unit = machine.sensor_unit(sensor)
         steps = f", steps of {quantum:.3g} {unit}" if quantum else ""
         declared = max(sensor.noise, sensor.resolution / np.sqrt(12))
-        message = f"noise {noise:.3g} {unit}{steps} (declared: noise {sensor.noise:.3g}, steps {sensor.resolution:.3g})"
+        message = (
+            f"noise {noise:.3g} {unit}{steps} (declared: noise {sensor.noise:.3g}, "
+            f"steps {sensor.resolution:.3g})"
+        )
         rounded = noise <= _ROUNDED * quantum / np.sqrt(12)
         resting_rows = [run.initial.resting_rows for run in data.runs]
         at_rest = noise_at_rest([run.outputs[:, j] for run in data.runs], resting_rows)
@@ -319,8 +324,8 @@ def _silences(recording: Recording, machine: Machine) -> list[Finding]:
             first = int(np.argmax(rows))
             message = (
                 f"repeats a value from row {first + 1} ({values[first]:.4g}) on, "
-                f"{seconds:.2g} s in all, and goes on where the motion has arrived meanwhile: was the connection "
-                "lost? These rows are excluded, as if these cells were empty"
+                f"{seconds:.2g} s in all, and goes on where the motion has arrived meanwhile: "
+                "was the connection lost? These rows are excluded, as if these cells were empty"
             )
             findings.append(Finding("advice", recording.name, channel, message))
     return findings

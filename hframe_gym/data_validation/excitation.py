@@ -135,15 +135,19 @@ def _amplitude(
         ratio = np.concatenate([r.inputs @ gains for r in recordings]) / friction  # (rows of all runs,)
         high, low = float(ratio.max()), float(ratio.min())
         above = 100 * float(np.mean(np.abs(ratio) > 1.0))
-        message = f"drive force {low:+.3g} to {high:+.3g} times Coulomb friction, above it {above:.0f} % of the time"
+        message = (
+            f"drive force {low:+.3g} to {high:+.3g} times Coulomb friction, "
+            f"above it {above:.0f} % of the time"
+        )
         if max(high, -low) < 1.0:
             verdict = "it never breaks away"
             if name in motions and motions[name].moves:
                 inputs = [d.channel for d, gain in zip(machine.drives, gains, strict=True) if gain]
                 distance = f"{motions[name].span:.4g} {machine.coordinate(name).unit('position')}"
                 verdict = (
-                    f"by the machine file it never breaks away, but it moves by {distance}: is {' or '.join(inputs)} "
-                    "in another unit, or is the gain of the drive or the Coulomb friction of the file wrong?"
+                    f"by the machine file it never breaks away, but it moves by {distance}: "
+                    f"is {' or '.join(inputs)} in another unit, or is the gain "
+                    "of the drive or the Coulomb friction of the file wrong?"
                 )
             findings.append(Finding("advice", "", name, f"{message}: {verdict}"))
         elif min(high, -low) < 1.0:
@@ -278,7 +282,10 @@ def _check_speed(name: str, speed: Array, machine: Machine) -> list[Finding]:
     findings = [Finding("note", "", name, message)]
     if min(backward, 1 - backward) < _ONE_SIDED:
         direction, percent = ("backward" if backward > 0.5 else "forward"), 100 * max(backward, 1 - backward)
-        message = f"moves {direction} {percent:.0f} % of the time: direction-dependent friction is poorly identifiable"
+        message = (
+            f"moves {direction} {percent:.0f} % of the time: "
+            "direction-dependent friction is poorly identifiable"
+        )
         findings.append(Finding("advice", "", name, message))
     if slow < _SLOW_TIME:
         message = (

@@ -114,8 +114,9 @@ def check_parameters(data: Dataset, machine: Machine) -> list[Finding]:
     for ke, (viscous, fraction) in sums.items():
         relative_std = reported_alone.pop(viscous) * fraction
         message = (
-            f"only their sum can be determined, with a standard error of at least {100 * relative_std:.2g} %: viscous "
-            "friction and back-EMF brake the motor alike, and simulation and control need only the sum"
+            "only their sum can be determined, with a standard error of at least "
+            f"{100 * relative_std:.2g} %: viscous friction and back-EMF brake the motor alike, "
+            "and simulation and control need only the sum"
         )
         severity: Severity = "advice" if relative_std > _LARGE_STD else "note"
         findings.append(Finding(severity, "", f"{viscous} and {ke}", message))
@@ -137,8 +138,9 @@ def findings_of_bounds(bounds: Sequence[CramerRaoBound]) -> list[Finding]:
     undetermined = [b.name for b in bounds if _UNDETERMINED_STD < b.relative_std < np.inf]
     if undetermined:
         message = (
-            f"not determined by these runs (standard error above {100 * _UNDETERMINED_STD:.0f} %), at most the ratios "
-            "of some: fitted values stay near the machine file; motion that is faster or reaches limits tells more"
+            f"not determined by these runs (standard error above {100 * _UNDETERMINED_STD:.0f} %), "
+            "at most the ratios of some: fitted values stay near the machine file; "
+            "motion that is faster or reaches limits tells more"
         )
         findings.append(Finding("advice", "", ", ".join(undetermined), message))
     for bound in bounds:

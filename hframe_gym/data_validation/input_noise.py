@@ -28,8 +28,9 @@ def check_input_noise(recordings: Sequence[Recording], machine: Machine) -> list
                     "advice",
                     recording.name,
                     channel,
-                    f"changes from row to row like noise of {noise:.2g} {unit}, {100 * noise / size:.2g} % of its "
-                    "size. If it was measured, the real drive did not follow this noise, but a simulated one does; "
+                    f"changes from row to row like noise of {noise:.2g} {unit}, "
+                    f"{100 * noise / size:.2g} % of its size. "
+                    "If it was measured, the real drive did not follow this noise, but a simulated one does; "
                     "it is therefore averaged over 17 ms. Record the command instead if that is possible",
                 )
             )

@@ -94,8 +94,9 @@ def check_sampling(recording: Recording, stamp_jitter: float = 0.0) -> list[Find
     if late.any() and _late_stamps(recording.time_s, late):
         rate = len(steps) / float(np.sum(steps))
         message = (
-            "sampling is irregular: times are late by half a period or more, but no row is missing. If the samples "
-            f"were taken at a fixed rate, state it: hframe import FILE --map time_s={rate:.4g}Hz --out RUNS"
+            "sampling is irregular: times are late by half a period or more, but no row is missing. "
+            "If the samples were taken at a fixed rate, "
+            f"state it: hframe import FILE --map time_s={rate:.4g}Hz --out RUNS"
         )
         findings.append(Finding("advice", recording.name, "time_s", message))
         gaps[:] = True  # nothing more is said of the steps
@@ -106,7 +107,8 @@ def check_sampling(recording: Recording, stamp_jitter: float = 0.0) -> list[Find
         number = f"{count} gaps" if count > 1 else "1 gap"
         message = (
             f"{number} ({duration} in total, {100 * lost / np.sum(steps):.2g} %): samples were "
-            "dropped or taken late; identification estimates the inputs in gaps of up to 20 rows from the motion"
+            "dropped or taken late; "
+            "identification estimates the inputs in gaps of up to 20 rows from the motion"
         )
         findings.append(Finding("advice", recording.name, "time_s", message))
     if np.sum(steps) > _LONG_RUN:
@@ -117,8 +119,8 @@ def check_sampling(recording: Recording, stamp_jitter: float = 0.0) -> list[Find
     jitter = float(np.std(steps[~gaps])) if not gaps.all() else 0.0
     if usual > period:
         message = (
-            f"rows are written as values arrive, at irregular times up to {1e3 * usual:.3g} ms apart: inputs hold "
-            "until the next row. If they change in between, log at a fixed rate"
+            f"rows are written as values arrive, at irregular times up to {1e3 * usual:.3g} ms apart: "
+            "inputs hold until the next row. If they change in between, log at a fixed rate"
         )
         findings.append(Finding("advice", recording.name, "time_s", message))
     elif jitter > _JITTER * period:
@@ -185,8 +187,8 @@ def slow_sensors(recordings: Sequence[Recording], machine: Machine) -> list[Find
         counts = {r.name: count for r in recordings if (count := repetitions(r.outputs[:, j])) > 1.0}
         if counts:
             message = (
-                f"is measured every {float(np.median(list(counts.values()))):.3g} rows and repeated between them "
-                f"({len(counts)} runs): the repeated values are not used, as if these cells were empty"
+                f"is measured every {float(np.median(list(counts.values()))):.3g} rows and repeated between "
+                f"them ({len(counts)} runs): the repeated values are not used, as if these cells were empty"
             )
             findings.append(Finding("advice", "", channel, message))
     return findings
@@ -221,8 +223,8 @@ def check_input_timing(data: Dataset, machine: Machine) -> list[Finding]:
     channels = " and ".join(machine.input_channels)
     verb = "are" if len(machine.drives) > 1 else "is"
     evidence = (
-        f"the motion follows the voltage of the next row (chi-squared per sample {shifted.chi2:.3g} instead of "
-        f"{logged.chi2:.3g})"
+        "the motion follows the voltage of the next row (chi-squared per "
+        f"sample {shifted.chi2:.3g} instead of {logged.chi2:.3g})"
     )
     remedy = "shift the voltages up by one row and delete the last row"
     feedthrough = _feedthrough(runs.runs, machine)
@@ -234,8 +236,8 @@ def check_input_timing(data: Dataset, machine: Machine) -> list[Finding]:
             )
         ]
     message = (
-        f"{channels} may be logged one row late, or the machine lacks a force or a mass: {evidence}. If the logger "
-        f"writes the voltage that has acted until the time of its row, {remedy}"
+        f"{channels} may be logged one row late, or the machine lacks a force or a mass: {evidence}. "
+        f"If the logger writes the voltage that has acted until the time of its row, {remedy}"
     )
     return [Finding("advice", "", "", message)]
 

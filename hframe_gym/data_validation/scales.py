@@ -80,9 +80,9 @@ def _units(motion: SpanMotion, data: Dataset, machine: Machine, balance: Balance
         if _is_speed(motion, j):
             speed_unit = "rpm" if unit == "rad" else "mm/s"
             message = (
-                "looks like a speed, not like a position: it follows the simulated speed. Convert it, for example by "
-                f"hframe import FILE --unit {sensor.channel}={speed_unit}; a spring or a weight that the machine file "
-                "lacks looks alike in slow motion"
+                "looks like a speed, not like a position: it follows the simulated speed. "
+                f"Convert it, for example by hframe import FILE --unit {sensor.channel}={speed_unit}; "
+                "a spring or a weight that the machine file lacks looks alike in slow motion"
             )
             findings.append(Finding("advice", "", sensor.channel, message))
             continue
@@ -121,8 +121,8 @@ def _describe_factor(factor: float, suspect: tuple[float, str] | None, unit: str
     speed = f"{factor:.3g} times as fast as" if factor > 1 else f"{1 / factor:.3g} times slower than"
     where = f" in all {len(data.runs)} runs" if len(data.runs) > 1 else ""
     return (
-        f"moves {speed} the machine simulates{where}: is the column in {name}, not in {unit}? Then multiply it by "
-        f"{1 / value:.4g}; otherwise a gain, a mass or a gear ratio of the machine file is wrong"
+        f"moves {speed} the machine simulates{where}: is the column in {name}, not in {unit}? Then multiply "
+        f"it by {1 / value:.4g}; otherwise a gain, a mass or a gear ratio of the machine file is wrong"
     )
 
 

@@ -68,8 +68,8 @@ def _finding(machine: Machine, speed: int, ratio: float) -> Finding:
     others = ", ".join(sensor.channel for sensor in machine.sensors if sensor.of_position)
     verb = "change" if "," in others else "changes"
     message = (
-        f"is {ratio:.3g} times the speed at which {others} {verb}: a unit, scale or gear ratio of one of them is "
-        f"wrong. If it is that of the speed: hframe import FILE --scale {channel}={1.0 / ratio:.4g} (times its present "
-        "factor)"
+        f"is {ratio:.3g} times the speed at which {others} {verb}: "
+        "a unit, scale or gear ratio of one of them is wrong. If it is that of the speed: "
+        f"hframe import FILE --scale {channel}={1.0 / ratio:.4g} (times its present factor)"
     )
     return Finding("fault", "", channel, message)

@@ -74,8 +74,8 @@ def check_starts(recordings: Sequence[Recording], data: Dataset, machine: Machin
             inputs = " and ".join(drive.channel for drive in drives)
             message = (
                 f"starts from rest against {inputs}, the first time at {against[0]:.4g} s ({len(against)} of "
-                f"{len(starts)} starts): was the magnitude of {inputs} logged without its sign, or is the sign of one "
-                "column wrong? Correct the columns of the file, or leave out the run"
+                f"{len(starts)} starts): was the magnitude of {inputs} logged without its sign, "
+                "or is the sign of one column wrong? Correct the columns of the file, or leave out the run"
             )
             of_voltage = all(drive.command == "voltage" for drive in drives)
             if not of_voltage:

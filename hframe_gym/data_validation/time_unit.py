@@ -39,8 +39,8 @@ def check_time_unit(data: Dataset, balance: Balance | None) -> list[Finding]:
             message = (
                 f"the times may be {direction}: as logged, the motion requires "
                 f"{float(np.median(balance.inertia)):.2g} times the declared inertia and "
-                f"{float(np.median(balance.viscous)):.2g} times the viscous friction. If these were not guessed, state "
-                f"the unit or the rate of the times: hframe import FILE {option}"
+                f"{float(np.median(balance.viscous)):.2g} times the viscous friction. If these "
+                f"were not guessed, state the unit or the rate of the times: hframe import FILE {option}"
             )
             return [Finding("advice", "", "time_s", message)]
     return []

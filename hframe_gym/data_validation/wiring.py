@@ -173,12 +173,16 @@ def _signs_and_swaps(runs: Sequence[PreparedRecording], machine: Machine) -> lis
         if best < EXPLAINED:
             remedy = "correct the columns of the file, or the declaration in machine.json"
             return [Finding("fault", "", "", f"{likely}: {remedy}")]
-        fractions = f"{100 * (1 - best):.0f} % of the motion instead of {100 * max(1 - declared.unexplained, 0):.0f} %"
+        fractions = (
+            f"{100 * (1 - best):.0f} % of the motion instead "
+            f"of {100 * max(1 - declared.unexplained, 0):.0f} %"
+        )
         return [Finding("advice", "", "", f"{likely}? The inputs would then explain {fractions}")]
     if declared.balance.unexplained > _UNEXPLAINED:
         message = (
-            f"the inputs explain only {100 * (1 - declared.balance.unexplained):.0f} % of the forces that the motion "
-            "requires: is the machine file that of the recorded machine, and do inputs and outputs belong together?"
+            f"the inputs explain only {100 * (1 - declared.balance.unexplained):.0f} % "
+            "of the forces that the motion requires: is the machine file that of the recorded machine, "
+            "and do inputs and outputs belong together?"
         )
         return [Finding("advice", "", "", message)]
     return []

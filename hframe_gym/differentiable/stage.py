@@ -61,8 +61,8 @@ class Stage(ABC, Generic[Tensor]):
         felt = [s.channel for s in machine.sensors if s.sensed.jumps]
         if felt:
             raise InputError(
-                f"machine {machine.name!r}: a differentiable stage has no readings of accelerations and currents; "
-                f"leave {', '.join(felt)} out of a copy of the machine"
+                f"machine {machine.name!r}: a differentiable stage has no readings "
+                f"of accelerations and currents; leave {', '.join(felt)} out of a copy of the machine"
             )
         self.machine, self.period, self.parallel = machine, float(period), parallel
         self._stops = EndStops(machine, longest_step) if end_stops else None
@@ -156,8 +156,8 @@ class Stage(ABC, Generic[Tensor]):
                     "parameters": f"({len(self.nominal)},) or (B, {len(self.nominal)})",
                 }[name]
                 raise InputError(
-                    f"{name} has shape {tuple(shape)}, machine {self.machine.name!r} needs {text}, with the same B "
-                    "for all arguments"
+                    f"{name} has shape {tuple(shape)}, machine {self.machine.name!r} needs {text}, "
+                    "with the same B for all arguments"
                 )
 
     def check_finite(self, states: Array) -> None:

@@ -82,7 +82,8 @@ class DifferentiableStage(Stage[torch.Tensor]):
                 continue
             if not isinstance(tensor, torch.Tensor):
                 raise InputError(
-                    f"{name} is of type {type(tensor).__name__}; give a tensor, such as torch.as_tensor({name})"
+                    f"{name} is of type {type(tensor).__name__}; "
+                    f"give a tensor, such as torch.as_tensor({name})"
                 )
             if tensor.device.type != "cpu":
                 raise InputError(

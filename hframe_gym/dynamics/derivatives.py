@@ -119,8 +119,8 @@ class DifferentiableMotion:
             )
         if any(effect.definition.clock for effect in machine.effects):
             raise InputError(
-                f"machine {machine.name!r}: derivatives with a drifting clock are not available; remove the effect, "
-                "which belongs to the log, from a copy of the machine"
+                f"machine {machine.name!r}: derivatives with a drifting clock are not available; "
+                "remove the effect, which belongs to the log, from a copy of the machine"
             )
         self.machine, self.period = machine, float(period)
         self._steps = max(1, int(np.ceil(period / longest_step - 1e-6)))

@@ -298,6 +298,6 @@ def _check_finite(machine: Machine, time_s: Array, motion: Motion, longest_step:
         names = (*machine.coordinate_names, *(f"velocity of {c}" for c in machine.coordinate_names))
         quantity = (*names, *machine.output_channels)[column]
         raise NotFiniteError(
-            f"machine {machine.name!r}: the simulated motion diverges at t = {time_s[row]:g} s ({quantity}). Check "
-            f"masses and belt stiffness, or simulate with a step shorter than {longest_step:g} s."
+            f"machine {machine.name!r}: the simulated motion diverges at t = {time_s[row]:g} s ({quantity}). "
+            f"Check masses and belt stiffness, or simulate with a step shorter than {longest_step:g} s."
         )

@@ -18,7 +18,8 @@ EFFECT = Effect(
     name="friction_warm_up",
     site="machine",
     formula="F(t) = Fc (1 + a exp(-t/tau))",
-    source="Bittencourt, Wernholt, Sander-Tavallaey and Brogardh 2010, friction of robot joints against temperature",
+    source="Bittencourt, Wernholt, Sander-Tavallaey and Brogardh 2010, "
+    "friction of robot joints against temperature",
     coulomb=coulomb,
     parameters=(
         EffectParameter("a", "1", -0.99, 100.0, scale=0.3, role="amplitude"),

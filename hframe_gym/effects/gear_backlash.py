@@ -87,7 +87,8 @@ EFFECT = Effect(
     site="motor",
     belt="{site}_teeth",
     half_gap="d",
-    formula="J far'' + B far' + F sign(far') = K u + 2 Z sqrt(K J) u' - belts, u = s - clip(s, -d, d), s = motor - far",
+    formula="J far'' + B far' + F sign(far') = K u + 2 Z sqrt(K J) "
+    "u' - belts, u = s - clip(s, -d, d), s = motor - far",
     source="Nordin and Gutman 2002, Automatica 38(10), the dead-zone model",
     tension=tension,
     structure=structure,

@@ -9,7 +9,8 @@ EFFECT = Effect(
     family="cogging",
     site="motor",
     formula="f = A sin(n q + p), in addition to cogging",
-    source="Hanselman, Brushless Permanent Magnet Motor Design, chapter 7: the detent torque is a Fourier series",
+    source="Hanselman, Brushless Permanent Magnet Motor Design, "
+    "chapter 7: the detent torque is a Fourier series",
     force=force,
     parameters=COGGING.parameters,
     requires=COGGING.name,

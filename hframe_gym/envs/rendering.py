@@ -244,8 +244,8 @@ class Renderer:
                 self._window = pygame.display.set_mode((WIDTH, HEIGHT))
             except pygame.error as error:
                 raise InputError(
-                    f"render_mode='human' needs a display ({error}); without one use render_mode='rgb_array', or set "
-                    "SDL_VIDEODRIVER=dummy"
+                    f"render_mode='human' needs a display ({error}); "
+                    "without one use render_mode='rgb_array', or set SDL_VIDEODRIVER=dummy"
                 ) from error
             pygame.display.set_caption("HFrame")
             self._clock = pygame.time.Clock()

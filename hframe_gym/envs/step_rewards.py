@@ -251,8 +251,8 @@ class StepRewards:
         counts = {len(np.atleast_2d(goal)) for goal in (achieved, desired)} - {1}
         if not fits or len(counts) > 1:
             raise InputError(
-                f"compute_reward: achieved_goal has shape {achieved.shape} and desired_goal {desired.shape}; both must "
-                f"be ({axes},) or (n, {axes}), with the same n"
+                f"compute_reward: achieved_goal has shape {achieved.shape} and desired_goal {desired.shape}; "
+                f"both must be ({axes},) or (n, {axes}), with the same n"
             )
         shape = np.broadcast_shapes(achieved.shape, desired.shape)
         return np.array(np.broadcast_to(achieved, shape)), np.array(np.broadcast_to(desired, shape))
@@ -275,7 +275,8 @@ def _previous_goals(info: Any, desired: NDArray[Any]) -> tuple[NDArray[Any], NDA
     goals = [np.array([each[key] for each in infos]) if key in infos[0] else desired for key in keys]
     if any(values.size != desired.size for values in goals):
         raise InputError(
-            f"compute_reward: {len(infos)} infos for goals of shape {desired.shape}; 'progress' needs one per row"
+            f"compute_reward: {len(infos)} infos for goals of shape {desired.shape}; "
+            "'progress' needs one per row"
         )
     achieved_before, desired_before = (np.reshape(values, desired.shape) for values in goals)
     return achieved_before, desired_before

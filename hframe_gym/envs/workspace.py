@@ -75,24 +75,26 @@ def workspace_of(machine: Machine) -> Workspace:
         linear = [c.name for c in machine.coordinates if c.kind == "linear"]
         if linear:
             raise InputError(
-                f"machine {machine.name!r} has the linear coordinates {', '.join(linear)}; the environment moves "
-                "a tool along one or two of them. Name two of several x and y"
+                f"machine {machine.name!r} has the linear coordinates {', '.join(linear)}; "
+                "the environment moves a tool along one or two of them. Name two of several x and y"
             )
         rotary = [c.name for c in machine.coordinates if c.name not in machine.spring_loaded]
         raise InputError(
-            f"machine {machine.name!r} has the rotary coordinates {', '.join(rotary)} and {len(machine.drives)} "
-            "drives; the environment turns one or two axes with as many drives. Describe the axes one at a time"
+            f"machine {machine.name!r} has the rotary coordinates {', '.join(rotary)} "
+            f"and {len(machine.drives)} drives; the environment turns one or two axes with as many drives. "
+            "Describe the axes one at a time"
         )
     for name, limits in zip(axes, machine.axis_ranges, strict=True):
         if limits is None:
             raise InputError(
-                f"machine {machine.name!r}: coordinate {name!r} has no range; the environment needs one as its "
-                f'workspace. Add "range": [low, high] in m to this coordinate in the machine.json'
+                f"machine {machine.name!r}: coordinate {name!r} has no range; "
+                "the environment needs one as its workspace. "
+                'Add "range": [low, high] in m to this coordinate in the machine.json'
             )
     if len(machine.drives) != len(axes):
         raise InputError(
-            f"machine {machine.name!r} has {len(machine.drives)} drives; to move its tool along {' and '.join(axes)} "
-            f"the environment needs {len(axes)}"
+            f"machine {machine.name!r} has {len(machine.drives)} drives; "
+            f"to move its tool along {' and '.join(axes)} the environment needs {len(axes)}"
         )
     return np.array(machine.axis_ranges, dtype=np.float64)
 
@@ -114,8 +116,9 @@ def unmeasured_workspace(machine: Machine) -> str | None:
         if max(first - low, high - last) > UNMEASURED_FRACTION * (high - low):
             return (
                 f"machine {machine.name!r}: {effect.label} was identified from {first:.3g} to {last:.3g} "
-                f"{machine.axis_unit.name}, and the workspace reaches from {low:.3g} to {high:.3g}, where the force is "
-                f'unknown; add "range": [{first:.3g}, {last:.3g}] to {axis!r} in the machine.json, or record more'
+                f"{machine.axis_unit.name}, and the workspace reaches from {low:.3g} to {high:.3g}, "
+                "where the force is unknown; "
+                f'add "range": [{first:.3g}, {last:.3g}] to {axis!r} in the machine.json, or record more'
             )
     return None
 

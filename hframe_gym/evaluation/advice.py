@@ -43,7 +43,9 @@ def assumptions(scores: Mapping[str, Any]) -> dict[str, str]:
     period_ms, command = 1e3 * scores["period_s"], Command(**scores.get("command", {})).name
     return {
         "Sensors": f"{sensors}: {_SENSORS[sensors]}" if sensors in _SENSORS else sensors,
-        "Control period": f"{number(period_ms)} ms ({number(1e3 / period_ms)} Hz); {command}s are held in between",
+        "Control period": (
+            f"{number(period_ms)} ms ({number(1e3 / period_ms)} Hz); {command}s are held in between"
+        ),
         "Drives": f"{drives}: {_DRIVES[drives].format(command)}"
         if drives in ACTUATOR_PRESETS
         else drives or "not stated",
@@ -76,11 +78,17 @@ def next_steps(
         steps.append(NextStep("Remove what the warnings at the top name, and evaluate again."))
     if best is None:
         shorter = 0.2 * period
-        text = f"Evaluate with a shorter control period, for example {number(1e3 * shorter)} ms, or other controllers."
+        text = (
+            "Evaluate with a shorter control period, for example "
+            f"{number(1e3 * shorter)} ms, or other controllers."
+        )
         names = list(scores["controllers"])
         return [*steps, NextStep(text, _evaluation(scores, names, machine, period=shorter))]
     if scores["sensors"] == "state":
-        text = f"Evaluate {best} with the sensors of the machine: these scores assume exact positions and velocities."
+        text = (
+            f"Evaluate {best} with the sensors of the machine: "
+            "these scores assume exact positions and velocities."
+        )
         steps.append(NextStep(text, _evaluation(scores, [best], machine, sensors="machine")))
     if second is not None:
         text = f"If you must choose between {best} and {second}, compare them in more episodes."
@@ -88,15 +96,15 @@ def next_steps(
         steps.append(NextStep(text, _evaluation(scores, [best, second], machine, episodes=count)))
     if worst:
         text = (
-            f"Record the hardest move on the machine under {best}: {worst}. If the record differs from its plot on "
-            "this page, identify again with it."
+            f"Record the hardest move on the machine under {best}: {worst}. "
+            "If the record differs from its plot on this page, identify again with it."
         )
         steps.append(NextStep(text))
     ratio = ratio_to_bounds(scores["controllers"][best])
     if ratio is not None and ratio["mean"] > _CLEAR_GAIN:
         text = (
-            f"{best} needs {number(100.0 * (ratio['mean'] - 1.0))} % more than the shortest possible time. If that "
-            "matters, evaluate the controller predictive, or train an agent."
+            f"{best} needs {number(100.0 * (ratio['mean'] - 1.0))} % more than the shortest possible time. "
+            "If that matters, evaluate the controller predictive, or train an agent."
         )
         steps.append(NextStep(text, _evaluation(scores, [best, "predictive"], machine)))
     text = f"Use {best} with a control period of {number(1e3 * period)} ms."

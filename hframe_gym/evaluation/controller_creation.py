@@ -121,8 +121,8 @@ def make_controller(
         )
         if of_environment.controller_task != batch.task:
             raise InputError(
-                f"make_controller: controllers preview one goal per control period of {config.period:g} s; make the "
-                f"environment with task={of_environment.controller_task!r}"
+                f"make_controller: controllers preview one goal per control period of {config.period:g} s; "
+                f"make the environment with task={of_environment.controller_task!r}"
             )
         if callable(name):
             machine, full_state = of_environment.declared_machine, as_sensors(config.sensors) is None
@@ -172,8 +172,8 @@ def _observed_batch(environment: Any) -> EnvironmentBatch | None:
             or hasattr(wrapper, "norm_obs")
         ):
             raise InputError(
-                f"make_controller: the wrapper {type(wrapper).__name__} changes observations or actions, so that no "
-                "controller can read them; give the environment inside it"
+                f"make_controller: the wrapper {type(wrapper).__name__} changes observations or actions, "
+                "so that no controller can read them; give the environment inside it"
             )
         wrapper = wrapper.venv if hasattr(wrapper, "venv") else wrapper.env
     return batch
@@ -186,8 +186,8 @@ def _make_registered(name: str, scenario: Scenario) -> Controller:
     observed = observed_machine(machine, scenario.sensors)  # None: the full state
     if observed is not None and controller_class.feedback == "state":
         raise InputError(
-            f"controller {name!r} needs the full state, and sensors are {scenario.sensors!r}; choose sensors 'state', "
-            "or a controller with a state estimator, such as pid"
+            f"controller {name!r} needs the full state, and sensors are {scenario.sensors!r}; "
+            "choose sensors 'state', or a controller with a state estimator, such as pid"
         )
     try:
         controller = controller_class(machine, scenario.period)

@@ -207,8 +207,9 @@ def _env_spec(scenario: Scenario, folder: Path, *, normalize: bool, flat: bool) 
     """
     if scenario.controller_task != as_task(scenario.task, scenario.declared_machine.axis_unit):
         raise InputError(
-            f"task {scenario.task_name} at a period of {scenario.period:g} s: the controller needs a preview of goals "
-            "at this period, which the data set's environment cannot state; export this task at a period of 0.01 s"
+            f"task {scenario.task_name} at a period of {scenario.period:g} s: the controller "
+            "needs a preview of goals at this period, which the data set's environment cannot state; "
+            "export this task at a period of 0.01 s"
         )
     options: dict[str, Any] = {
         key: getattr(scenario, key) for key in ("task", "randomize", "sensors", "drives")
@@ -306,9 +307,10 @@ def _metadata(
         "minari_version": version("minari"),
         "algorithm_name": name if card is None else f"{card['recipe']}, seed {card['seed']}",
         "description": (
-            f"{scenario.episodes} episodes of {name} on the machine {machine.name}, task {scenario.task_name}, "
-            f"randomize {scenario.randomize}, sensors {scenario.sensors}, drives {scenario.drives}, control period "
-            f"{scenario.period:g} s; episode i has the seed {scenario.seed} + i. Written by hframe export."
+            f"{scenario.episodes} episodes of {name} on the machine {machine.name}, "
+            f"task {scenario.task_name}, randomize {scenario.randomize}, "
+            f"sensors {scenario.sensors}, drives {scenario.drives}, control period {scenario.period:g} s; "
+            f"episode i has the seed {scenario.seed} + i. Written by hframe export."
         ),
         "requirements": [f"hframe_gym=={__version__}"],
         "hframe": {

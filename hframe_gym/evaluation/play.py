@@ -29,8 +29,8 @@ SCALE_OF_TWO = 0.72  # size of each of two stages relative to a single one
 GENTLE = 0.4  # fraction of the rated voltage that an arrow key applies; all of it with the shift key
 FULL_VOLTAGE_DISTANCE = 0.05  # m, distance of the pointer from the tool that applies the rated voltage
 HELP = (
-    "arrow keys: push (with Shift: full voltage)    left button: pull to the pointer    right button: target    "
-    "N: new    R: repeat    Space: pause    Q: quit"
+    "arrow keys: push (with Shift: full voltage)    left button: pull to the pointer    right button: "
+    "target    N: new    R: repeat    Space: pause    Q: quit"
 )
 BACKGROUND, INK, MUTED, BAR, GOOD = (
     (250, 250, 248),

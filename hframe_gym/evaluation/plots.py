@@ -140,7 +140,8 @@ def episode_panels(name: str, episodes: Episodes, episode: int) -> list[Panel]:
         ),
         Panel(
             f"{name}: distance to the goal",
-            f"Distance of the tool to its goal over time under {name}, {number(final_mm)} {small} at the end.",
+            f"Distance of the tool to its goal over time under {name}, "
+            f"{number(final_mm)} {small} at the end.",
             lambda a: _plot_error(a, episodes, episode),
             2.6,
         ),

@@ -85,8 +85,8 @@ def evaluate(
     samples = scenario.episodes * (scenario.periods * SAMPLES_PER_PERIOD + 1)
     if samples > MAX_SAMPLES:
         raise InputError(
-            f"{scenario.episodes} episodes of {scenario.periods} control periods have {samples:.2g} samples, the limit "
-            f"is {MAX_SAMPLES:.0e}: evaluate fewer episodes or a longer control period"
+            f"{scenario.episodes} episodes of {scenario.periods} control periods have {samples:.2g} samples, "
+            f"the limit is {MAX_SAMPLES:.0e}: evaluate fewer episodes or a longer control period"
         )
     if scenario.periods > MANY_PERIODS:
         warnings.warn(f"an episode has {scenario.periods} control periods, which takes minutes", stacklevel=2)
@@ -121,8 +121,9 @@ def _made(
         controller = make_controller(given, scenario) if isinstance(given, str) else given
         if not isinstance(name, str) or not isinstance(controller, Controller):
             raise InputError(
-                f"evaluate: {given!r} is no name of a controller; give controllers with the names that they have in "
-                'results, {"mine": controller}; make_controller(policy, env) makes one of a function of observations'
+                f"evaluate: {given!r} is no name of a controller; "
+                'give controllers with the names that they have in results, {"mine": controller}; '
+                "make_controller(policy, env) makes one of a function of observations"
             )
         made[name] = controller
     return made
@@ -159,8 +160,8 @@ def rollout(controller: Controller, scenario: Scenario) -> Episodes:
     except NotFiniteError as error:
         name = scenario.declared_machine.name
         raise InputError(
-            f"machine {name!r}: the simulated motion diverges under this controller ({error}); check the parameters of "
-            "its effects, for example a belt law that loses its stiffness at large stretch"
+            f"machine {name!r}: the simulated motion diverges under this controller ({error}); check "
+            "the parameters of its effects, for example a belt law that loses its stiffness at large stretch"
         ) from None
     except InputError:
         raise

@@ -71,8 +71,8 @@ class Scenario:
             raise InputError(f"seed is {self.seed!r}, it must not be negative")
         if not 0.0 < self.duration_s <= LONGEST_EPISODE or self.periods < 1:
             raise InputError(
-                f"period is {self.period:g} s and duration_s is {self.duration_s!r} s: an episode must last for "
-                "at least one control period"
+                f"period is {self.period:g} s and duration_s is {self.duration_s!r} "
+                "s: an episode must last for at least one control period"
             )
 
     @property

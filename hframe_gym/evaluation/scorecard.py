@@ -149,9 +149,15 @@ def _difference_sentence(name: str, difference: Mapping[str, Any]) -> str:
     """Return a sentence about the settling times of the second best controller, compared episode by episode."""
     interval = f"95 % interval {_interval(difference, '.3f')} s"
     if _includes_zero(difference):
-        return f"In the same episodes {name} is not significantly slower or faster ({interval} of the difference)."
+        return (
+            f"In the same episodes {name} is not significantly slower or faster "
+            f"({interval} of the difference)."
+        )
     word = "slower" if difference["mean"] > 0 else "faster"
-    return f"In the same episodes {name} is {abs(difference['mean']):.3f} s {word} ({interval} of the difference)."
+    return (
+        f"In the same episodes {name} is {abs(difference['mean']):.3f} s {word} "
+        f"({interval} of the difference)."
+    )
 
 
 def _track_verdict(scores: Mapping[str, Any], unit: AxisUnit) -> _Verdict:
@@ -168,8 +174,8 @@ def _track_verdict(scores: Mapping[str, Any], unit: AxisUnit) -> _Verdict:
     contour = controllers[best][key]
     sentence = (
         f"{best} follows the path with a contour error of {number(contour['rms']['mean'])} {small} rms (95 % "
-        f"interval {_interval(contour['rms'], '.3g')} {small}) and {number(contour['max']['mean'])} {small} at most, "
-        "means over the episodes."
+        f"interval {_interval(contour['rms'], '.3g')} {small}) "
+        f"and {number(contour['max']['mean'])} {small} at most, means over the episodes."
     )
     return _Verdict(best, "good", [sentence])
 

@@ -67,7 +67,7 @@ def stored_bounds(scenario: Scenario) -> StoredBounds:
     if not missing:
         return StoredBounds(times, None)
     reason = (
-        f"no bound is stored for {missing} of {len(times)} episodes; bounds are stored for the machine 'hframe', "
-        "randomize 'default' and seeds 0 to 511 and 1000 to 1511 (see docs/bound.md)"
+        f"no bound is stored for {missing} of {len(times)} episodes; bounds are stored for "
+        "the machine 'hframe', randomize 'default' and seeds 0 to 511 and 1000 to 1511 (see docs/bound.md)"
     )
     return StoredBounds(None if missing == len(times) else times, reason)

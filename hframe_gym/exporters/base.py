@@ -117,7 +117,8 @@ class MachineExporter(Exporter):
             write_export(out.parent, {out.name: files[chosen[0]]}, log)
         else:
             raise InputError(
-                f"--out {out}: the export {self.kind} has the files {', '.join(files)}; name a folder for them"
+                f"--out {out}: the export {self.kind} has the files {', '.join(files)}; "
+                "name a folder for them"
                 + (" or a file with the suffix of one of them" if self.separable else "")
             )
 
@@ -170,8 +171,8 @@ def refuse_drive_laws(machine: Machine, what: str) -> None:
     if machine.drive_laws:
         drives = " and ".join(law.site for law in machine.drive_laws)
         raise InputError(
-            f"machine {machine.name!r}: {what} has no place for the loop of {drives}, which follows a set point; "
-            "export a copy of the machine whose drives are of the kind torque"
+            f"machine {machine.name!r}: {what} has no place for the loop of {drives}, "
+            "which follows a set point; export a copy of the machine whose drives are of the kind torque"
         )
 
 
@@ -230,8 +231,8 @@ def require_linear_axes(machine: Machine, what: str) -> None:
     rotary = [axis for axis in machine.tool_axes if machine.coordinate(axis).kind == "rotary"]
     if rotary:
         raise InputError(
-            f"machine {machine.name!r}: {what} has the tool position in m, and {' and '.join(rotary)} turns; export "
-            "state-space, friction-map or, of an agent, policy"
+            f"machine {machine.name!r}: {what} has the tool position in m, and {' and '.join(rotary)} turns; "
+            "export state-space, friction-map or, of an agent, policy"
         )
 
 

@@ -26,8 +26,8 @@ class DatasetExporter(Exporter):
     """
 
     controllers: list[str] = argument(
-        "Controllers: {controllers}, random (random actions), a shipped agent ({agents}), the folder of a trained "
-        "agent, or module:name."
+        "Controllers: {controllers}, random (random actions), a shipped agent ({agents}), "
+        "the folder of a trained agent, or module:name."
     )
     machine: str | Path | Machine = option("hframe", option_texts.MACHINE, cli_type=str)
     task: str = option("reach", option_texts.TASK)
@@ -70,5 +70,6 @@ class DatasetExporter(Exporter):
         except ValueError as error:
             raise InputError(str(error)) from error
         log(
-            f"load them in Python with MINARI_DATASETS_PATH={out} and minari.load_dataset({written.dataset_id!r})"
+            f"load them in Python with MINARI_DATASETS_PATH={out} "
+            f"and minari.load_dataset({written.dataset_id!r})"
         )

@@ -57,8 +57,9 @@ class FmuExporter(MachineExporter):
         ]
         if unsupported:
             raise InputError(
-                f"machine {machine.name!r}: an FMU has no place for {', '.join(unsupported)} (delays, eccentric "
-                "pulleys); remove it from a copy of the machine and add a delay in the program that imports the FMU"
+                f"machine {machine.name!r}: "
+                f"an FMU has no place for {', '.join(unsupported)} (delays, eccentric pulleys); "
+                "remove it from a copy of the machine and add a delay in the program that imports the FMU"
             )
         require_linear_axes(machine, "an FMU")
         if not machine.tool_axes or not machine.sensors:
@@ -68,8 +69,8 @@ class FmuExporter(MachineExporter):
         others = [sensor.channel for sensor in machine.sensors if not sensor.of_position]
         if others:
             raise InputError(
-                f"machine {machine.name!r}: the outputs of an FMU are positions; leave {', '.join(others)} out of a "
-                "copy of the machine"
+                f"machine {machine.name!r}: the outputs of an FMU are positions; "
+                f"leave {', '.join(others)} out of a copy of the machine"
             )
         token = self.provenance(machine)["machine_sha256"]
         comment = c_comment(self.header(machine))
@@ -98,13 +99,13 @@ class FmuExporter(MachineExporter):
             )
         for j, sensor in enumerate(machine.sensors):
             variables.append(
-                f'<Float64 name={quoteattr(sensor.channel)} valueReference="{_FIRST_OUTPUT + j}" causality="output" '
-                f'unit="{machine.sensor_unit(sensor)}"/>'
+                f'<Float64 name={quoteattr(sensor.channel)} valueReference="{_FIRST_OUTPUT + j}" '
+                f'causality="output" unit="{machine.sensor_unit(sensor)}"/>'
             )
         for k, axis in enumerate(machine.tool_axes):
             variables.append(
-                f'<Float64 name={quoteattr("start_" + axis)} valueReference="{_FIRST_START + k}" causality="parameter" '
-                'variability="fixed" start="0.0" unit="m"/>'
+                f'<Float64 name={quoteattr("start_" + axis)} valueReference="{_FIRST_START + k}" '
+                'causality="parameter" variability="fixed" start="0.0" unit="m"/>'
             )
         outputs = range(_FIRST_OUTPUT, _FIRST_OUTPUT + len(machine.sensors))
         structure = "".join(f'<Output valueReference="{reference}"/>' for reference in outputs)
@@ -114,7 +115,8 @@ class FmuExporter(MachineExporter):
         text = (
             f'<fmiModelDescription fmiVersion="3.0" modelName={quoteattr(plain(machine.name) or "stage")} '
             f'instantiationToken="{token}" description={quoteattr(about)} '
-            f'generationTool={quoteattr(self.provenance(machine)["software"])} variableNamingConvention="flat">'
+            f"generationTool={quoteattr(self.provenance(machine)['software'])} "
+            'variableNamingConvention="flat">'
             '<CoSimulation modelIdentifier="stage" canHandleVariableCommunicationStepSize="true"/>'
             f"<UnitDefinitions>{units}</UnitDefinitions>"
             '<DefaultExperiment startTime="0" stopTime="1" stepSize="0.001"/>'
@@ -324,7 +326,8 @@ def _header(functions: Sequence[Formula]) -> str:
     about = c_comment(
         [
             "Functions of the machine for the integrator, whose steps fmi3.c states.",
-            "Forces and speeds are along the belt travel of a coordinate, which is radius * angle for a pulley.",
+            "Forces and speeds are along the belt travel of a coordinate, "
+            "which is radius * angle for a pulley.",
         ]
     )
     declarations = "\n".join(declaration(function, "model") for function in functions)

@@ -46,7 +46,8 @@ class MjcfExporter(MachineExporter):
         pretty = indented(text)
         header = self.header(
             machine,
-            "Units: SI; controls are drive voltages, V. Sensors read joint positions without noise and rounding.",
+            "Units: SI; controls are drive voltages, V. "
+            "Sensors read joint positions without noise and rounding.",
             "Not modeled: effects of the machine, the change of belt stiffness with the position, end stops.",
         )
         return {"stage.xml": xml_comment(header) + pretty}

@@ -22,7 +22,9 @@ OPSET = 17  # of ONNX, from 2022; runtimes since then have it
 _MEANINGS = {
     "desired_goal": "goal of the tool now, m",
     "preview": "goals at the ends of the next periods, m",
-    "last_observation": "`observation` of the previous period; in the first period of a motion, that of this one",
+    "last_observation": (
+        "`observation` of the previous period; in the first period of a motion, that of this one"
+    ),
     "last_action": "`action` of the previous period, as applied; 0 in the first period of a motion",
 }
 
@@ -61,8 +63,8 @@ class PolicyExporter(Exporter):
         if self.agent.endswith(".zip"):
             raise InputError(
                 f"{self.agent}: models of stable-baselines3 are not exported, only agents in folders, which "
-                "`hframe train` writes, and shipped ones. Train one (hframe train ppo), or export the model by the "
-                "means of stable-baselines3 (its documentation, Exporting models)"
+                "`hframe train` writes, and shipped ones. Train one (hframe train ppo), "
+                "or export the model by the means of stable-baselines3 (its documentation, Exporting models)"
             )
         folder = (
             Path(self.agent) if Path(self.agent).is_dir() else shipped_agent_folder(self.agent, self.task)
@@ -96,8 +98,8 @@ def _network(agent: Any) -> tuple[Any, list[str], tuple[Any, ...]]:
         ]
     if needs:
         raise InputError(
-            f"agent {agent.card['name']}: its actions need {' and '.join(needs)}, which are no network; export an "
-            "agent without them, for example ppo"
+            f"agent {agent.card['name']}: its actions need {' and '.join(needs)}, which are no network; "
+            "export an agent without them, for example ppo"
         )
     keys = [key for key in policy.features_extractor.keys]  # noqa: C416  (a torch module, not a dict)
     if mapping is not None and "last_action" not in keys:

@@ -44,8 +44,10 @@ class StateSpaceExporter(MachineExporter):
             "rest at the operating "
             f"point {point}",
             "Coulomb friction is not part of the model. Back-EMF is.",
-            f"Effects left out because they have no linear model at rest: {', '.join(model.left_out) or 'none'}",
-            f"Delays that come on top, s: inputs {model.input_delays.tolist()}, outputs {model.output_delays.tolist()}",
+            "Effects left out because they have no linear model at rest: "
+            f"{', '.join(model.left_out) or 'none'}",
+            f"Delays that come on top, s: inputs {model.input_delays.tolist()}, "
+            f"outputs {model.output_delays.tolist()}",
         )
         header = self.header(machine, *units)
         return {

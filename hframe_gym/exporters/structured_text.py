@@ -160,7 +160,10 @@ def _inverse(prefix: str, j: int, limit: float, language: StructuredText) -> str
         "END_FOR;",
         f"{name} := SEL(voltage = {amplifier}(0.0), side * high, 0.0);",
     ]
-    comment = f"Smallest command in magnitude that gives a voltage at motor {j}, V; bisection within the drive's limit."
+    comment = (
+        f"Smallest command in magnitude that gives a voltage at motor {j}, V; "
+        "bisection within the drive's limit."
+    )
     return _function(name, comment, declarations, lines)
 
 

@@ -33,8 +33,8 @@ class UrdfExporter(MachineExporter):
         unlimited = [c.name for c in axes if c.range is None]
         if unlimited:
             raise InputError(
-                f"machine {machine.name!r}: a prismatic joint of URDF has limits, but {', '.join(unlimited)} has no "
-                "range; add it to machine.json"
+                f"machine {machine.name!r}: a prismatic joint of URDF has limits, "
+                f"but {', '.join(unlimited)} has no range; add it to machine.json"
             )
         directions = {c.name: d for c, d in zip(axes, ("1 0 0", "0 1 0"), strict=False)}
         carrier, riders, carried = carrier_and_riders(axes)

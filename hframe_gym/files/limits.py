@@ -44,8 +44,8 @@ def refuse_expansion(path: Path, size: int) -> None:
     """Raise an InputError if so many bytes of content are more than 64 MB and than 100 times the compressed file."""
     if size > expansion_limit(path):
         raise InputError(
-            f"{path}: expands to more than {MAX_EXPANSION} times its size and {FREE_EXPANSION >> 20} MB, which no "
-            "recording does; it is refused because it would fill the memory"
+            f"{path}: expands to more than {MAX_EXPANSION} times its size and {FREE_EXPANSION >> 20} MB, "
+            "which no recording does; it is refused because it would fill the memory"
         )
 
 
@@ -53,8 +53,8 @@ def refuse_long_line(path: Path, length: int) -> None:
     """Raise an InputError if a line of so many characters is too long (`MAX_LINE`) for a row of a table of numbers."""
     if length >= MAX_LINE:
         raise InputError(
-            f"{path}: has a line of more than {MAX_LINE - 1} characters; a table has a row for each time. If each of "
-            "its lines is one quantity, transpose it; otherwise save fewer columns"
+            f"{path}: has a line of more than {MAX_LINE - 1} characters; a table has a row for each time. "
+            "If each of its lines is one quantity, transpose it; otherwise save fewer columns"
         )
 
 

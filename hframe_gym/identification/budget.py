@@ -141,7 +141,10 @@ class Budget:
     def reason(self) -> str:
         """Why the search ended before it was complete, in words."""
         if self.interrupted:
-            return f"interrupted after {self.spent if self._ended is None else self._ended:.0f} s of processor time"
+            return (
+                f"interrupted after {self.spent if self._ended is None else self._ended:.0f} "
+                "s of processor time"
+            )
         return f"the budget of {self.seconds:.0f} s of processor time ended"
 
     def stop(self) -> None:

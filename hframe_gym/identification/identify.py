@@ -35,8 +35,8 @@ from .validate.evaluation import HeldOutTests, describe_unstable_motion, judged,
 from .validate.simpler_machines import no_worse, reserve_time_after_search
 
 _SILENT = (
-    "Not used: nothing moves in {0}, although {1} starts to move with no more. Its sensor was not read, its drive was "
-    "off, or something was blocked."
+    "Not used: nothing moves in {0}, although {1} starts to move with no more. "
+    "Its sensor was not read, its drive was off, or something was blocked."
 )
 
 

@@ -284,13 +284,15 @@ class Effect:
             for name in argument_names(function) if function else ():
                 if name in parameters and name in quantities:
                     raise InputError(
-                        f"effect {self.name}: the parameter {name} has the name of a quantity of the formula {hook}, "
-                        f"and would hide it; rename the parameter ({hook} knows {', '.join(quantities)})"
+                        f"effect {self.name}: the parameter {name} has the name "
+                        f"of a quantity of the formula {hook}, and would hide it; "
+                        f"rename the parameter ({hook} knows {', '.join(quantities)})"
                     )
                 if name not in parameters and name not in quantities:
                     raise InputError(
-                        f"effect {self.name}: the argument {name} of the formula {hook} is neither a parameter "
-                        f"({', '.join(parameters)}) nor a quantity of {hook} ({', '.join(quantities) or 'none'})"
+                        f"effect {self.name}: the argument {name} of the formula "
+                        f"{hook} is neither a parameter ({', '.join(parameters)}) "
+                        f"nor a quantity of {hook} ({', '.join(quantities) or 'none'})"
                     )
 
     def _check_unit(self, parameter: EffectParameter) -> None:
@@ -300,8 +302,8 @@ class Effect:
         if unit not in names and any(difflib.get_close_matches(word, names, cutoff=0.8) for word in words):
             meant = suggestion(unit, names) if words == [unit] else ""
             raise InputError(
-                f"effect {self.name}: the unit of {parameter.name} is {unit!r}; give a unit such as N/m^2, or one of "
-                f"{', '.join(names)} alone{meant}"
+                f"effect {self.name}: the unit of {parameter.name} is {unit!r}; "
+                f"give a unit such as N/m^2, or one of {', '.join(names)} alone{meant}"
             )
 
     def __hash__(self) -> int:
@@ -454,7 +456,8 @@ class AppliedEffect:
         if self.site not in sites:
             choices = ", ".join(sites)
             raise ValueError(
-                f"effect {self.name}: machine {machine.name!r} has no site {self.site!r}; choose one of {choices}"
+                f"effect {self.name}: machine {machine.name!r} has no site {self.site!r}; "
+                f"choose one of {choices}"
             )
 
     def __call__(self, hook: str, **quantities: Any) -> Any:

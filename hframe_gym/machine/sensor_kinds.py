@@ -92,8 +92,8 @@ def _quantity_of(signal: Callable[[Any], Any]) -> SensorQuantity:
     quantities = get_args(SensorQuantity)
     if len(names) != 1 or names[0] not in quantities:
         raise ValueError(
-            f"{signal.__qualname__}: has the arguments {', '.join(names) or 'none'}; it must have exactly one of "
-            f"{', '.join(quantities)}. What else changes the measurement is an effect of the sensor"
+            f"{signal.__qualname__}: has the arguments {', '.join(names) or 'none'}; it must have exactly "
+            f"one of {', '.join(quantities)}. What else changes the measurement is an effect of the sensor"
         )
     return cast(SensorQuantity, names[0])
 

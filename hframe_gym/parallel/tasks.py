@@ -82,7 +82,7 @@ def _result(future: Future[Result], index: int) -> Result:
             if isinstance(cause, BaseException):
                 raise cause from None
             raise InputError(
-                f"task {index + 1} ended {ATTEMPTS} worker processes, perhaps for lack of memory: give it a machine "
-                f"with more memory, or run fewer tasks at a time ({type(error).__name__})"
+                f"task {index + 1} ended {ATTEMPTS} worker processes, perhaps for lack of memory: "
+                f"give it a machine with more memory, or run fewer tasks at a time ({type(error).__name__})"
             ) from error
         raise

@@ -27,7 +27,8 @@ def run_task(
 
     if version != __version__:
         raise InputError(
-            f"a worker has hframe_gym {__version__}, this program {version}: install the same version on all machines"
+            f"a worker has hframe_gym {__version__}, this program {version}: "
+            "install the same version on all machines"
         )
     os.environ.update(settings)
     with threadpool_limits(1):  # libraries that are loaded later read the variables

@@ -92,7 +92,8 @@ def _require_rows(recordings: Sequence[Recording]) -> None:
     for recording in recordings:
         if len(recording.time_s) < MIN_ROWS:
             raise InputError(
-                f"run {recording.name}: number of rows is {len(recording.time_s)}, at least {MIN_ROWS} are needed"
+                f"run {recording.name}: number of rows is {len(recording.time_s)}, "
+                f"at least {MIN_ROWS} are needed"
             )
 
 
@@ -134,27 +135,28 @@ def hold_out(recordings: Sequence[Recording], chosen: Sequence[str] = ()) -> tup
     unknown = [c for c in chosen if c not in names]
     if unknown:
         raise InputError(
-            f"--hold-out {unknown[0]}: no such run; the runs are {', '.join(names)}{suggestion(unknown[0], names)}"
+            f"--hold-out {unknown[0]}: no such run; "
+            f"the runs are {', '.join(names)}{suggestion(unknown[0], names)}"
         )
     moving = moving_runs(recordings)
     eligible = [r for r in recordings if r.name in moving] or recordings
     if len(eligible) == 1 < len(names):
         raise InputError(
-            f"nothing moves except in run {eligible[0].name}; a run that moves must be fitted and another one held "
-            "out, so record more runs or split this one: hframe import FILE --split-every SECONDS"
+            f"nothing moves except in run {eligible[0].name}; a run that moves must be fitted and another "
+            "one held out, so record more runs or split this one: hframe import FILE --split-every SECONDS"
         )
     held_out = tuple(chosen) or tuple(
         eligible[i].name for i in _representative_runs(spectral_differences(eligible))
     )
     if not set(held_out) & {run.name for run in eligible}:
         raise InputError(
-            f"--hold-out {', '.join(held_out)}: nothing moves in it, so its error says nothing about the machine; hold "
-            f"out a run that moves, such as {eligible[-1].name}"
+            f"--hold-out {', '.join(held_out)}: nothing moves in it, so its "
+            f"error says nothing about the machine; hold out a run that moves, such as {eligible[-1].name}"
         )
     if len(set(held_out)) >= len(names):
         raise InputError(
-            f"runs: {len(names)}, held out: {len(set(held_out))}; at least one must be left to fit, so split the "
-            "recording into several runs or hold out fewer"
+            f"runs: {len(names)}, held out: {len(set(held_out))}; "
+            "at least one must be left to fit, so split the recording into several runs or hold out fewer"
         )
     return held_out
 

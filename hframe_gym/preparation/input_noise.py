@@ -123,8 +123,8 @@ def without_input_noise(recording: Recording, machine: Machine, log: LineLog | N
         if log is not None:
             percent = 100 * noise_of_input(inputs[:, j]) / size
             log(
-                f"{recording.name}: {machine.input_channels[j]} changes like noise of {percent:.2g} % of its size; it "
-                f"is averaged over {2 * half + 1} rows"
+                f"{recording.name}: {machine.input_channels[j]} changes like "
+                f"noise of {percent:.2g} % of its size; it is averaged over {2 * half + 1} rows"
             )
         inputs[:, j] = np.convolve(inputs[:, j], kernel, "same") / counts
     return dataclasses.replace(recording, inputs=inputs)

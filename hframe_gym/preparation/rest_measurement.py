@@ -350,8 +350,9 @@ def _position_warning(machine: Machine, silent: NDArray[np.bool_], replaced: NDA
             "from later measurements and the encoders."
         )
     return (
-        "The initial position cannot be determined, because no sensor with a known zero measures it; the encoders are "
-        "assumed to count from the machine's zero, and positions without any measurement are assumed to be 0."
+        "The initial position cannot be determined, because no sensor with a known zero measures it; "
+        "the encoders are assumed to count from the machine's zero, "
+        "and positions without any measurement are assumed to be 0."
     )
 
 

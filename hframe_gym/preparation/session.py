@@ -28,9 +28,9 @@ from .unmeasured_positions import without_unmeasured_positions
 from .usable import from_first_measurement, usable_run, without_saturated, without_unknown_voltage
 
 _TURNED = (
-    "A positive command moves {} against the direction in which its sensors count: with positive inertia and friction, "
-    "the motion follows from the commands only that way round. The machines here count its sensors the other way "
-    "(negative factors in `row`)."
+    "A positive command moves {} against the direction in which its sensors count: "
+    "with positive inertia and friction, the motion follows from the commands only that way round. "
+    "The machines here count its sensors the other way (negative factors in `row`)."
 )
 
 

@@ -16,8 +16,8 @@ from ..machine import Machine
 from ..recordings import Recording
 
 _LEFT_OUT = (
-    "No run measures a position. {} is left out, also of the machines here, so forces that depend on the position are "
-    "not identified. Add it again to a machine file for a controller that reads it."
+    "No run measures a position. {} is left out, also of the machines here, so forces that depend "
+    "on the position are not identified. Add it again to a machine file for a controller that reads it."
 )
 
 

@@ -67,8 +67,8 @@ def usable_run(recording: Recording, machine: Machine, log: LineLog | None = Non
         _log_wraps(recording, machine, log)
         if jitter_s:
             log(
-                f"{recording.name}: the stamps jitter by {1e3 * jitter_s:.2g} ms, but the motion was sampled in equal "
-                "steps; these replace the stamps"
+                f"{recording.name}: the stamps jitter by {1e3 * jitter_s:.2g} ms, "
+                "but the motion was sampled in equal steps; these replace the stamps"
             )
         _log_repetitions(unwrapped, distinct, machine, log)
         removals = (

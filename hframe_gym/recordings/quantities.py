@@ -47,7 +47,8 @@ QUANTITIES: dict[str, Quantity] = {
     "time": Quantity(
         "a",
         {"s": (1, 1), "ms": (1, 1e3), "us": (1, 1e6), "ns": (1, 1e9), "min": (60, 1)},
-        "time timestamp zeit uhrzeit zeitstempel elapsed seconds sec millis micros clock date datum messzeit laufzeit",
+        "time timestamp zeit uhrzeit zeitstempel elapsed seconds sec millis "
+        "micros clock date datum messzeit laufzeit",
     ),
     "voltage": Quantity("a", {"V": (1, 1), "mV": (1, 1e3)}, "voltage volt volts spannung vbus vbat"),
     "duty cycle": Quantity(

@@ -184,7 +184,8 @@ def recording_from_columns(path: Path, columns: Mapping[str, Array], machine: Ma
     outputs = np.column_stack([columns.get(c, unmeasured) for c in machine.output_channels])
     if any(c in columns for c in machine.output_channels) and np.all(np.isnan(outputs)):
         raise InputError(
-            f"{path}, columns {', '.join(machine.output_channels)}: all outputs are empty; one must be measured"
+            f"{path}, columns {', '.join(machine.output_channels)}: all outputs are empty; "
+            "one must be measured"
         )
     recording = Recording(run_name(path), time_s, inputs, outputs)
     refuse_wrong_units(path, recording.outputs, machine)
@@ -219,7 +220,10 @@ def _refuse_gaps(path: Path, time_s: Array) -> None:
         duration = float(time_s[-1] - time_s[0])
     if len(steps) and steps.max() > LONGEST_GAP:
         row = int(np.argmax(steps)) + 2
-        reason = f"{steps.max():.4g} s after row {row - 1}, gaps are at most {LONGEST_GAP:g} s: split the run there"
+        reason = (
+            f"{steps.max():.4g} s after row {row - 1}, gaps are at most "
+            f"{LONGEST_GAP:g} s: split the run there"
+        )
         raise InputError(f"{path}, row {row}, column time_s: {reason}")
     if duration > LONGEST_RUN:
         raise InputError(

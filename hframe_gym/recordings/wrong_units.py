@@ -81,8 +81,8 @@ def refuse_wrong_units(path: Path, outputs: Array, machine: Machine) -> None:
             if span > _MAX_SPAN * range_length:
                 unit, suspect = ("m", "mm") if coordinate.kind == "linear" else ("rad", "deg")
                 limit = (
-                    f"the range of {coordinate.name} in the machine file is {range_length:.4g} {unit} (correct it, or "
-                    "leave it out, if the machine moves that far)"
+                    f"the range of {coordinate.name} in the machine file is "
+                    f"{range_length:.4g} {unit} (correct it, or leave it out, if the machine moves that far)"
                 )
                 problem = f"{path}, column {sensor.channel}: moves by {span:.4g} {unit}, but {limit}"
                 raise WrongUnitError(problem, (sensor.channel,), suspect)

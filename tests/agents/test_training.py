@@ -308,9 +308,9 @@ def test_a_recipe_whose_transfers_a_short_axis_lacks_is_refused_before_training(
     with pytest.raises(InputError) as error:
         run(algorithm, short, out=tmp_path, log=ignore)
     assert str(error.value) == (
-        f"recipe {algorithm}_reach: needs motions that last up to 27 control periods longer than the shortest one, but "
-        "the longest in the workspace of machine 'axis' last 19 periods longer; choose a recipe without them: "
-        "apg_predictive, ppo, residual, sac_her"
+        f"recipe {algorithm}_reach: needs motions that last up to 27 control periods longer "
+        "than the shortest one, but the longest in the workspace of machine 'axis' last 19 periods longer; "
+        "choose a recipe without them: apg_predictive, ppo, residual, sac_her"
     )
     assert not list(tmp_path.rglob("*.json"))
 

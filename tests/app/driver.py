@@ -138,7 +138,8 @@ class Visitor:
         """Click the first of some elements whose text begins with a text."""
         found = self.driver.execute_script(
             "const found = [...document.querySelectorAll(arguments[0])]"
-            ".find((e) => e.innerText.trim().startsWith(arguments[1])); if (found) found.click(); return !!found",
+            ".find((e) => e.innerText.trim().startsWith(arguments[1])); "
+            "if (found) found.click(); return !!found",
             selector,
             text,
         )
@@ -161,7 +162,8 @@ class Visitor:
         time.sleep(0.3)
         found = self.driver.execute_script(
             "const item = [...document.querySelectorAll('.q-menu .q-item')]"
-            ".find((i) => i.innerText.trim().startsWith(arguments[0])); if (item) item.click(); return !!item",
+            ".find((i) => i.innerText.trim().startsWith(arguments[0])); "
+            "if (item) item.click(); return !!item",
             text,
         )
         assert found, f"{selector} has no entry {text}"

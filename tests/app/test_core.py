@@ -41,8 +41,8 @@ def test_choices_of_an_import_become_options() -> None:
     choices = ImportChoices({"x_m": "Weg [mm]", "v_V": "#2"}, {"x_m": "mm"}, {"v_V": "0.5"})
     choices.intervals = [Interval("log", 0.5, 2.25)]
     assert command_text(import_command(choices)) == (
-        "hframe import logs --machine machine.json --map 'x_m=Weg [mm]' --map 'v_V=#2' --unit x_m=mm --scale v_V=0.5 "
-        "--cut log=0.5:2.25 --out runs"
+        "hframe import logs --machine machine.json --map 'x_m=Weg [mm]' "
+        "--map 'v_V=#2' --unit x_m=mm --scale v_V=0.5 --cut log=0.5:2.25 --out runs"
     )
     rests = import_command(ImportChoices(split="rests", seconds=0.25))
     assert rests[-5:] == ["--split-at-rests", "--min-rest", "0.25", "--out", "runs"]

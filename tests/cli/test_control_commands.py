@@ -130,7 +130,8 @@ def test_evaluate_scores_and_warns_of_an_agent_trained_on_another_machine(
     code, out, err = hframe_command("evaluate", "ppo", "pid", *options)
     assert code == 0
     assert err.splitlines() == [
-        "hframe: warning: agent ppo: trained on machine 'hframe', evaluated on 'hframe-linear'. Its scores may be poor."
+        "hframe: warning: agent ppo: trained on machine 'hframe', evaluated on 'hframe-linear'. "
+        "Its scores may be poor."
     ]
     scores = json.loads((tmp_path / "scores.json").read_text())
     assert list(scores["controllers"]) == ["ppo", "pid"]
@@ -184,7 +185,12 @@ def test_train_takes_a_task_of_a_module_in_the_current_folder(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [folder for folder in sys.path if folder])
     monkeypatch.delitem(sys.modules, "folder_tasks", raising=False)
-    text = "from hframe_gym.envs import TASKS, Reach\n@TASKS.register('toy-move')\nclass Move(Reach):\n    pass\n"
+    text = (
+        "from hframe_gym.envs import TASKS, Reach\n"
+        "@TASKS.register('toy-move')\n"
+        "class Move(Reach):\n"
+        "    pass\n"
+    )
     Path("folder_tasks.py").write_text(text)
     if ":" not in task:
         monkeypatch.setenv("HFRAME_PLUGINS", "folder_tasks")

@@ -186,7 +186,8 @@ ADVICE = "; use the functions of hframe_gym.dynamics.elementwise"
         (with_interpolation, f"float() argument must be a string or a real number, not 'Expression'{ADVICE}"),
         (
             with_branch,
-            "a formula cannot branch on its arguments (`hframe_gym.dynamics.elementwise.where` selects a value)",
+            "a formula cannot branch on its arguments "
+            "(`hframe_gym.dynamics.elementwise.where` selects a value)",
         ),
         (with_missing_argument, "maximum() missing 1 required positional argument: 'b'"),
         (with_text, "'Expression' object is not subscriptable"),

@@ -145,7 +145,8 @@ IMPOSSIBLE = [
     (
         "torque__[%]",
         {},
-        r"torque \[%\] is a torque in percent, and v_V is a voltage.*the kind torque and the channel torque_Nm",
+        r"torque \[%\] is a torque in percent, and v_V is a voltage"
+        ".*the kind torque and the channel torque_Nm",
     ),
     ("torque__[%]", {"units": {"v_V": "%"}}, "is a torque in percent, and v_V is a voltage"),
     ("torque", {}, "torque is a torque by its name, and v_V is a voltage.*--unit v_V=V only if"),

@@ -49,7 +49,8 @@ def test_columns_may_come_in_any_order_and_outputs_may_be_empty(write_run: Write
         ({(7, "x_m"): "abc"}, "row 7, column x_m: 'abc' is not a number"),
         (
             {(7, "v1_V"): ""},
-            "row 7, column v1_V: value is empty. Times and inputs must have no gaps; hframe import keeps the value",
+            "row 7, column v1_V: value is empty. Times and inputs must have no gaps; "
+            "hframe import keeps the value",
         ),
         ({(7, "y_m"): "inf"}, "row 7, column y_m: inf is infinite"),
         (
@@ -64,13 +65,13 @@ def test_columns_may_come_in_any_order_and_outputs_may_be_empty(write_run: Write
         ({(7, "x_m"): "125.0"}, "row 7, column x_m: 125 cannot be m; is the column in millimeters?"),
         (
             {(7, "x_m"): "15.0"},
-            "column x_m: moves by 15 m, but the range of x in the machine file is 0.56 m (correct it, or leave it out, "
-            "if the machine moves that far); is the column in millimeters?",
+            "column x_m: moves by 15 m, but the range of x in the machine file is 0.56 m (correct it, "
+            "or leave it out, if the machine moves that far); is the column in millimeters?",
         ),
         (
             {(7, "x_m"): "2.0"},
-            "column x_m: moves by 2 m, but the range of x in the machine file is 0.56 m (correct it, or leave it out, "
-            "if the machine moves that far); is the column in millimeters?",
+            "column x_m: moves by 2 m, but the range of x in the machine file is 0.56 m (correct it, "
+            "or leave it out, if the machine moves that far); is the column in millimeters?",
         ),
         (
             {(r, c): "" for r in range(1, 21) for c in ("phi1_rad", "phi2_rad", "x_m", "y_m")},

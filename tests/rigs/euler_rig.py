@@ -13,9 +13,19 @@ from tests.reference_simulator import Array, Rig
 
 # Fields of a rig that the Euler simulator has in another form. One that is neither here nor in `FIELDS` it lacks.
 _CONVERTED = (
-    "belt_damping_factor", "belt_energy_force", "belt_hardening", "belt_play_m", "belt_pretension_N", "emf_constant",
-    "frame", "gear_ratio", "input_delay_s", "pulley_radius_m", "torque_constant", "yaw",
-)  # fmt: skip
+    "belt_damping_factor",
+    "belt_energy_force",
+    "belt_hardening",
+    "belt_play_m",
+    "belt_pretension_N",
+    "emf_constant",
+    "frame",
+    "gear_ratio",
+    "input_delay_s",
+    "pulley_radius_m",
+    "torque_constant",
+    "yaw",
+)
 _YAW_DIVISORS = (
     "stribeck_velocity",
     "friction_wavelength",

@@ -430,7 +430,10 @@ def _hysteresis(rng: np.random.Generator) -> Residue:
     # A fraction of the friction; it costs 5 to 40 um after two seconds, as the other residues do.
     force = log_uniform(rng, 0.01, 0.04) * {"x": 2.0, "y": 0.4}.get(site, 0.02)
     travel = log_uniform(rng, 0.1, 0.5) if rotary else log_uniform(rng, 0.002, 0.01)
-    note = f"hysteresis of {site}, {force:.2g} {'Nm' if rotary else 'N'} within {travel:.2g} {'rad' if rotary else 'm'}"
+    note = (
+        f"hysteresis of {site}, {force:.2g} {'Nm' if rotary else 'N'} within "
+        f"{travel:.2g} {'rad' if rotary else 'm'}"
+    )
     return Residue("hysteresis", note, hysteresis=(site, force, travel))
 
 

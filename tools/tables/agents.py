@@ -94,7 +94,8 @@ def agents(results: dict[str, Any]) -> str:
     rows = []
     for name in by_path[0]:
         cells = [
-            f"{result[name]['scores']['contour_mm']['rms']['mean']:.4f} mm, {_ratio(result[name], 'over_pid')}"
+            f"{result[name]['scores']['contour_mm']['rms']['mean']:.4f} mm, "
+            f"{_ratio(result[name], 'over_pid')}"
             for result in by_path
         ]
         rows.append([name, *cells])

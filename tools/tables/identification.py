@@ -164,7 +164,8 @@ def _closed_loop_measures(content: dict[str, Any]) -> list[list[str]]:
     text = "error on unseen runs over that of the true machine: median; 95 % quantile; share within"
     rows = [
         [
-            f"all rigs with library effects: effects with a trace, larger than {size} (the median), identified",
+            "all rigs with library effects: effects with a trace, "
+            f"larger than {size} (the median), identified",
             ratio(above),
         ],
         [

@@ -34,8 +34,8 @@ def score_table(scores: Mapping[str, Any]) -> Table:
     from ...evaluation import PATH_ERRORS, task_name, unit_of_scores
 
     title = (
-        f"{task_name(scores)}: {scores['episodes']} episodes, {scores['machine']}, randomize {scores['randomize']}, "
-        f"sensors {scores['sensors']}, seed {scores['seed']}"
+        f"{task_name(scores)}: {scores['episodes']} episodes, {scores['machine']}, "
+        f"randomize {scores['randomize']}, sensors {scores['sensors']}, seed {scores['seed']}"
     )
     controllers = scores["controllers"]
     fixed_goal = all("settling_s" in score for score in controllers.values())

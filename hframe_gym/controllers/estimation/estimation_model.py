@@ -162,8 +162,8 @@ class MeasurementModel:
         self.variance: Array = (noise * self._unit) ** 2 + SMALLEST_NOISE_M**2
         if np.linalg.matrix_rank(positions @ model.rigid) < model.rigid.shape[1]:
             raise InputError(
-                f"machine {machine.name!r}: its sensors ({', '.join(machine.output_channels) or 'none'}) do not "
-                "determine the position of the tool"
+                f"machine {machine.name!r}: its sensors ({', '.join(machine.output_channels) or 'none'}) "
+                "do not determine the position of the tool"
             )
 
     def _readings(self, states: TravelStates) -> Array:

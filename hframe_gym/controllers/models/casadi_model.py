@@ -144,8 +144,8 @@ def check_supported(machine: Machine) -> None:
         reason = _unsupported_because(effect)
         if reason:
             raise InputError(
-                f"machine {machine.name!r}: time-optimal motions do not support {effect.label}: {reason}; leave the "
-                "effect out"
+                f"machine {machine.name!r}: time-optimal motions do not support {effect.label}: "
+                f"{reason}; leave the effect out"
             )
     if any("*" in key for sensor in machine.sensors for key in sensor.row):
         raise InputError(f"machine {machine.name!r}: time-optimal motions do not support a bridge that yaws")

@@ -154,7 +154,8 @@ class InputInversion:
             if any(equations.effects_at("voltage", drive.name)):
                 if np.any(np.diff(motor) < 0.0):
                     raise InputError(
-                        f"machine {machine.name!r}: drive {drive.name} gives a lower voltage for a higher command"
+                        f"machine {machine.name!r}: drive {drive.name} gives "
+                        "a lower voltage for a higher command"
                     )
                 self._tables[j] = (command, motor + MINIMUM_SLOPE * command)
 

@@ -61,8 +61,8 @@ class OperatingPointGrid:
         declared = [r for r in machine.axis_ranges if r is not None]
         if len(declared) < len(axes):
             raise InputError(
-                f'machine {machine.name!r}: {" and ".join(axes)} must have a range to be controlled in. Add "range": '
-                "[low, high] in m to each of these coordinates in the machine.json"
+                f"machine {machine.name!r}: {' and '.join(axes)} must have a range to be controlled in. "
+                'Add "range": [low, high] in m to each of these coordinates in the machine.json'
             )
         ranges = np.array(declared) * axis_travel_per_unit(machine)[:, None]
         self._lines = [
@@ -115,18 +115,18 @@ class MotionModel:
         following = [d.name for d in machine.drives if d.law]
         if following:
             raise InputError(
-                f"machine {machine.name!r}: the torque of {' and '.join(following)} follows a law of its own, and this "
-                "controller computes voltages, currents or torques; drives that follow a set point have their loops "
-                "inside: use the controller set-point"
+                f"machine {machine.name!r}: the torque of {' and '.join(following)} "
+                "follows a law of its own, and this controller computes voltages, currents or torques; "
+                "drives that follow a set point have their loops inside: use the controller set-point"
             )
         self.machine = machine
         self.axes = axes = machine.tool_axes
         self.observed = observed_coordinates(machine)
         if not axes or len(machine.drives) != len(axes) or sorted(self.observed) != sorted(names):
             raise InputError(
-                f"machine {machine.name!r}: the controllers need one or two axes, linear or rotary, one drive per axis "
-                "and no other coordinates than those of axes and drives; it has the coordinates "
-                f"{', '.join(names)} and the drives {', '.join(d.name for d in machine.drives)}"
+                f"machine {machine.name!r}: the controllers need one or two axes, linear or rotary, "
+                "one drive per axis and no other coordinates than those of axes and drives; it has the "
+                f"coordinates {', '.join(names)} and the drives {', '.join(d.name for d in machine.drives)}"
             )
         n = len(names)
         units = machine.travel_per_unit  # 1 for linear coordinates, radius for rotary ones, m/rad

@@ -58,7 +58,10 @@ class _Notice(event.Listener):
         module = str(happened.data["dispatcher"].py_func.__module__)
         if passed > _PATIENCE_S and not self._given and module.startswith("hframe_gym."):
             self._given = True
-            text = "compiling for this processor, once per installation; the code is kept in %s and beside the package"
+            text = (
+                "compiling for this processor, once per installation; "
+                "the code is kept in %s and beside the package"
+            )
             logging.getLogger("hframe_gym").warning(text, cache_folder())
 
 

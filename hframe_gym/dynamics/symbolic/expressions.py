@@ -75,7 +75,8 @@ class Expression:
 
     def __bool__(self) -> bool:
         raise TypeError(
-            "a formula cannot branch on its arguments (`hframe_gym.dynamics.elementwise.where` selects a value)"
+            "a formula cannot branch on its arguments "
+            "(`hframe_gym.dynamics.elementwise.where` selects a value)"
         )
 
     __hash__ = object.__hash__

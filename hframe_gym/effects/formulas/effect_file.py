@@ -236,7 +236,8 @@ class FormulaEffect:
         title = f"{self.name.replace('_', ' ').capitalize()}: a {what} that depends on {_described(against)}."
         fitted = ", ".join(f"{name} = {value:.5g}" for name, value in self.values.items())
         paragraphs = [
-            f"Proposed from the table {self.table.label}: {self.formula.name}. Identified values, SI: {fitted}.",
+            f"Proposed from the table {self.table.label}: {self.formula.name}. "
+            f"Identified values, SI: {fitted}.",
             *self.notes,
             "A proposal, not physics: review the form, and replace this text by the cause once it is known.",
         ]
@@ -255,7 +256,8 @@ class FormulaEffect:
         variable = _described(self.table.definition.against)
         return (
             f"def {self._hook}({names}):  # type: ignore[no-untyped-def]\n"
-            f'    """Return the {returned}, {unit}; {self._argument}: {variable}, {self._variable_unit()[0]}."""\n'
+            f'    """Return the {returned}, {unit}; '
+            f'{self._argument}: {variable}, {self._variable_unit()[0]}."""\n'
             f"    {text}"
         )
 

@@ -76,7 +76,8 @@ class Actuators:
         present = [e.label for e in machine.effects if e.definition.delay]
         if present:
             raise InputError(
-                f"drives: machine {machine.name!r} has a dead time already ({', '.join(present)}); leave delay at 0"
+                f"drives: machine {machine.name!r} has a dead time already ({', '.join(present)}); "
+                "leave delay at 0"
             )
         return machine.with_effects(EFFECTS["input_delay"].at("drives", d=self.delay))
 
@@ -152,10 +153,12 @@ def check_actions(
         drives = ", ".join(drive.name for drive in machine.drives)
         if single:
             raise ValueError(
-                f"the action has shape {values.shape[1:]}; give {shape[1:]}, a number for each drive ({drives})"
+                f"the action has shape {values.shape[1:]}; "
+                f"give {shape[1:]}, a number for each drive ({drives})"
             )
         raise ValueError(
-            f"actions have shape {values.shape}; give {shape}, for each environment a number for each drive ({drives})"
+            f"actions have shape {values.shape}; "
+            f"give {shape}, for each environment a number for each drive ({drives})"
         )
     if not _all_finite(values):
         b, k = np.argwhere(~np.isfinite(values))[0].tolist()

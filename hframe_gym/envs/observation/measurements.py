@@ -141,7 +141,8 @@ def _measurement_program(rows: Sequence[int]) -> LaneProgram:
         lines += [
             f"reading_{j} = load(readings, {row})",
             f"size_{j} = load(noise, {j})",
-            f"inside_{j} = (load(low, {j}) < reading_{j}) & (reading_{j} < load(high, {j})) & (size_{j} > 0.0)",
+            f"inside_{j} = (load(low, {j}) < reading_{j}) "
+            f"& (reading_{j} < load(high, {j})) & (size_{j} > 0.0)",
             f"noisy_{j} = where(inside_{j}, reading_{j} + size_{j} * load(normals, {j}), reading_{j})",
             f"quantum_{j} = load(resolution, {j})",
             f"rounded_{j} = where(quantum_{j} > 0.0, rint(noisy_{j} / quantum_{j}) * quantum_{j}, noisy_{j})",

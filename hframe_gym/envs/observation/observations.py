@@ -61,7 +61,8 @@ class StateView:
                 value += f" + load(state, {first}) * load(units, {first}) * {across}"
             lines += [
                 f"value_{j} = {value}",
-                f"store(values, {j}, minimum(maximum(value_{j}, load(bounds, {j})), load(bounds, {self.size + j})))",
+                f"store(values, {j}, minimum(maximum(value_{j}, load(bounds, "
+                f"{j})), load(bounds, {self.size + j})))",
             ]
         residue = " + ".join(
             ["load(state, 0) * 0.0", *(f"(value_{j} - value_{j})" for j in range(self.size))]
@@ -260,7 +261,10 @@ def _measurement_program(position: PositionFromSensors, sensors: Sequence[Sensor
     lines = []
 
     def limit(row: int, bound: int, count: int, value: str) -> str:
-        return f"store(values, {row}, minimum(maximum({value}, load(bounds, {bound})), load(bounds, {bound + count})))"
+        return (
+            f"store(values, {row}, minimum(maximum({value}, load(bounds, "
+            f"{bound})), load(bounds, {bound + count})))"
+        )
 
     for j in range(n):
         lines.append(limit(j, j, size, f"load(now, {j})"))

@@ -120,8 +120,8 @@ class Sensors(SensorSuite):
         both = [d.coordinate for d in machine.drives if d.coordinate in machine.tool_axes]
         if both and self.encoders is not None and self.lasers is not None:
             raise InputError(
-                f"sensors: on machine {machine.name!r} encoder and laser would both measure {both[0]}; choose "
-                "sensors='machine', or Sensors with encoders=None or lasers=None"
+                f"sensors: on machine {machine.name!r} encoder and laser would both measure {both[0]}; "
+                "choose sensors='machine', or Sensors with encoders=None or lasers=None"
             )
         if self.encoders is not None:
             for drive in machine.drives:
@@ -280,7 +280,7 @@ class PositionFromSensors:
             if direct[axis] < 0 and not belts[axis].any():
                 channels = ", ".join(sensor.channel for sensor in sensors) or "none"
                 raise InputError(
-                    f"sensors: the measurements of machine {machine.name!r} ({channels}) do not determine {name}; "
-                    "declare a sensor of it, or choose sensors='state'"
+                    f"sensors: the measurements of machine {machine.name!r} ({channels}) "
+                    f"do not determine {name}; declare a sensor of it, or choose sensors='state'"
                 )
         return cls(belts, direct, scale)

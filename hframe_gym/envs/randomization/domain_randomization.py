@@ -187,8 +187,8 @@ class RandomizeParameter:
         if isinstance(self.distribution, type) or not isinstance(self.distribution, Distribution):
             names = ", ".join(DISTRIBUTIONS)
             raise InputError(
-                f"{label}; give a Distribution such as Uniform(0.9, 1.1), or a list of a name and its numbers such as "
-                f"['uniform', 0.9, 1.1], with a name of {names}"
+                f"{label}; give a Distribution such as Uniform(0.9, 1.1), "
+                f"or a list of a name and its numbers such as ['uniform', 0.9, 1.1], with a name of {names}"
             )
 
     def quantile(self, u: Array) -> Array:
@@ -277,7 +277,8 @@ def as_rules(randomize: RandomizationLike, names: Sequence[str]) -> tuple[Rule, 
     """
     if isinstance(randomize, Mapping):
         raise InputError(
-            f"randomize is {dict(randomize)!r}, one dict; write a list with one dict for each rule, such as {_EXAMPLE}"
+            f"randomize is {dict(randomize)!r}, one dict; "
+            f"write a list with one dict for each rule, such as {_EXAMPLE}"
         )
     if isinstance(randomize, str) or not isinstance(randomize, Iterable):
         if randomize not in RANDOMIZATION_PRESETS:
@@ -301,8 +302,8 @@ def _as_rule(entry: object) -> Rule:
             raise InputError(f"randomize: {arguments}: {error}; write a list such as {_EXAMPLE}") from None
     if not isinstance(entry, RandomizeParameter | RandomizeIdentified):
         raise InputError(
-            f"randomize: {entry!r} is neither a RandomizeParameter nor a RandomizeIdentified; write for example "
-            "RandomizeParameter('x.mass', Uniform(0.8, 1.2)), which scales the declared mass"
+            f"randomize: {entry!r} is neither a RandomizeParameter nor a RandomizeIdentified; write "
+            "for example RandomizeParameter('x.mass', Uniform(0.8, 1.2)), which scales the declared mass"
         )
     if entry.when not in ("reset", "startup"):
         raise InputError(f"randomize: {entry!r} has when = {entry.when!r}; choose 'reset' or 'startup'")

@@ -150,11 +150,12 @@ class RuleSampler:
         indices = matching(self._space.names, rule)
         if not indices:
             effect = (
-                "; parameters of an effect vary only if the machine has the effect: add it by machine.with_effects "
-                "or in machine.json"
+                "; parameters of an effect vary only if the machine has the effect: "
+                "add it by machine.with_effects or in machine.json"
             )
             raise InputError(
-                f"randomize: machine {self._space.machine_name!r} and its task have no parameter {rule.parameter!r}; "
+                f"randomize: machine {self._space.machine_name!r} "
+                f"and its task have no parameter {rule.parameter!r}; "
                 f"{example_names(rule.parameter, self._space.names)}{effect if '@' in rule.parameter else ''}"
             )
         self._add_step(indices, rule)
@@ -183,7 +184,8 @@ class RuleSampler:
                 advice = "" if rule.bounded else "; choose a bounded distribution"
                 name = self._space.names[i]
                 raise InputError(
-                    f"randomize: the rule {rule} {verb} {name} = {value:g}, outside [{lower:g}, {upper:g}]{advice}"
+                    f"randomize: the rule {rule} {verb} {name} = {value:g}, "
+                    f"outside [{lower:g}, {upper:g}]{advice}"
                 )
 
     def _add_identified_rule(self, rule: RandomizeIdentified, machine: Machine) -> None:
@@ -191,8 +193,8 @@ class RuleSampler:
         uncertainty, space = machine.uncertainty, self._space
         if uncertainty is None or not uncertainty.names:
             raise InputError(
-                f"randomize: machine {machine.name!r} has no covariance; 'identified' needs a machine.json written by "
-                "`hframe identify`"
+                f"randomize: machine {machine.name!r} has no covariance; "
+                "'identified' needs a machine.json written by `hframe identify`"
             )
         indices = [space.names.index(name) for name in uncertainty.names]
         nominal, lower, upper = space.nominal[indices], space.lower[indices], space.upper[indices]
@@ -303,8 +305,8 @@ class MachineSampler:
                 {below, above} <= indices for indices in shared
             ):
                 raise InputError(
-                    f"randomize: the rules can yield {names[above]} = {self.low[above]:g}, below {names[below]} = "
-                    f"{self.high[below]:g}; choose ranges of the two that do not overlap"
+                    f"randomize: the rules can yield {names[above]} = {self.low[above]:g}, below "
+                    f"{names[below]} = {self.high[below]:g}; choose ranges of the two that do not overlap"
                 )
 
     def seed(self, b: int, generator: np.random.Generator) -> None:

@@ -108,8 +108,8 @@ class Track(Task):
         if unknown or not names:
             shapes = ", ".join(SHAPES)
             raise InputError(
-                f"task track: path is {', '.join(unknown) or 'empty'}; choose from {shapes}, or give a .csv file"
-                f"{suggestion(unknown[0], SHAPES) if unknown else ''}"
+                f"task track: path is {', '.join(unknown) or 'empty'}; choose from {shapes}, "
+                f"or give a .csv file{suggestion(unknown[0], SHAPES) if unknown else ''}"
             )
         return tuple(SHAPES[str(name)](self.size) for name in names)
 
@@ -150,8 +150,9 @@ class Track(Task):
         room = workspace[:, 1] - workspace[:, 0] - self.size
         if not (is_number(self.margin) and self.margin >= 0.0 and np.all(room >= 2.0 * self.margin)):
             raise InputError(
-                f"task track: a path {self.size:g} across with a margin of {self.margin!r} does not fit into the "
-                f"workspace, {' by '.join(f'{side:g}' for side in np.ptp(workspace, axis=1))} (m, or rad if rotary)"
+                f"task track: a path {self.size:g} across with a margin "
+                f"of {self.margin!r} does not fit into the workspace, "
+                f"{' by '.join(f'{side:g}' for side in np.ptp(workspace, axis=1))} (m, or rad if rotary)"
             )
         if self.centre is not None:
             edges = np.reshape(self.centre, (-1, 1)) + 0.5 * self.size * np.array([-1.0, 1.0])
@@ -171,8 +172,8 @@ class Track(Task):
             if len(outside):
                 row = int(outside[0])
                 raise InputError(
-                    f"{self.path}, row {row + 1}, column {column}: {points[row, j]:g} is outside the workspace, "
-                    f"[{low:g}, {high:g}] m"
+                    f"{self.path}, row {row + 1}, column {column}: "
+                    f"{points[row, j]:g} is outside the workspace, [{low:g}, {high:g}] m"
                 )
 
     @override

@@ -39,8 +39,8 @@ class _Forces:
         wanted = [f"constant_force@{axis}.size" for axis in self.batch.machine.tool_axes]
         if missing := [name for name in wanted if name not in names]:
             raise InputError(
-                f"the machine has no parameter {missing[0]}, through which a disturbance acts; make the environment "
-                "with machine=machine_for_disturbances(machine)"
+                f"the machine has no parameter {missing[0]}, through which a disturbance acts; "
+                "make the environment with machine=machine_for_disturbances(machine)"
             )
         self._rows = [names.index(name) for name in wanted]
         self._process = DISTURBANCES.get(name)(**options)

@@ -177,8 +177,8 @@ class _VectorRecording(VectorWrapper):
         self._recorder, self._use = _Recorder(env, use.names), use
         if env.metadata.get("autoreset_mode") is AutoresetMode.SAME_STEP:
             raise InputError(
-                "with autoreset_mode='SameStep' the state at the end of an episode is gone when quantities are "
-                "computed; use 'NextStep' or 'Disabled'"
+                "with autoreset_mode='SameStep' the state at the end of an episode "
+                "is gone when quantities are computed; use 'NextStep' or 'Disabled'"
             )
         self._over = np.zeros(self._recorder.batch.count, np.bool_)
 

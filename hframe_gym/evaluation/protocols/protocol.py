@@ -136,8 +136,9 @@ class Protocol:
         digest = self.compute_digest()
         if digest != self.digest:
             raise InputError(
-                f"protocol {self.name}: the installed packages give other settings or draws (digest {digest}, not "
-                f"{self.digest}), so scores would not be comparable; install a release of hframe_gym with this protocol"
+                f"protocol {self.name}: the installed packages give other "
+                f"settings or draws (digest {digest}, not {self.digest}), "
+                "so scores would not be comparable; install a release of hframe_gym with this protocol"
             )
 
 
@@ -153,7 +154,8 @@ PROTOCOLS: dict[str, Protocol] = {
             "reach-v1",
             {"reach": Reach()},
             "2cd343ef8e91485b",
-            "Move the tool to a point and keep it there; the masses, friction and belts of each draw are unknown.",
+            "Move the tool to a point and keep it there; "
+            "the masses, friction and belts of each draw are unknown.",
         ),
         Protocol(
             "track-v1",
@@ -165,8 +167,8 @@ PROTOCOLS: dict[str, Protocol] = {
             "hard-v1",
             {"reach": Reach(), "circle": _track("circle"), "square": _track("square")},
             "ca92cbc61f7531fb",
-            "Moves and paths with a rig's sensors and drives, parameters far from the model's, and effects that the "
-            "model does not declare.",
+            "Moves and paths with a rig's sensors and drives, parameters far from the model's, "
+            "and effects that the model does not declare.",
             randomize="wide",
             undeclared_effects=True,
             sensors="rig",
@@ -181,8 +183,8 @@ def get_protocol(name: str) -> Protocol:
     """Return a benchmark protocol by its name with the version, such as "reach-v1"; an InputError if unknown."""
     if name == GAP:
         raise InputError(
-            f"protocol {GAP} has plants of the independent simulator, which is not installed with the package: run "
-            "python -m benchmarks.gap run ENTRY in a clone of the repository (docs/gap.md)"
+            f"protocol {GAP} has plants of the independent simulator, which is not installed with "
+            "the package: run python -m benchmarks.gap run ENTRY in a clone of the repository (docs/gap.md)"
         )
     if name not in PROTOCOLS:
         raise InputError(

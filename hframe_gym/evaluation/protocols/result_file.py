@@ -176,13 +176,13 @@ def read_result(path: str | Path) -> ResultFile:
         raise InputError(f"{path}: {error}") from None
     if result.digest != protocol.digest:
         raise InputError(
-            f"{path}: digest {result.digest} is not that of protocol {protocol.name} ({protocol.digest}): it was "
-            "scored on another machine or other draws"
+            f"{path}: digest {result.digest} is not that of protocol {protocol.name} ({protocol.digest}): "
+            "it was scored on another machine or other draws"
         )
     if result.checksum != checksum(result.model_dump(by_alias=True)):
         raise InputError(
-            f"{path}: checksum does not fit: protocol, entry, versions or draws were edited after the run; run it "
-            f"again with hframe evaluate --protocol {protocol.name}"
+            f"{path}: checksum does not fit: protocol, entry, versions or draws were edited after the run; "
+            f"run it again with hframe evaluate --protocol {protocol.name}"
         )
     _check_draws(Path(path), result, protocol)
     return result
@@ -205,8 +205,8 @@ def _check_draws(path: Path, result: ResultFile, protocol: Protocol) -> None:
             valid = all(may_be_null if value is None else value >= 0.0 for value in column)
             if len(column) != protocol.draws or not valid:
                 raise InputError(
-                    f"{path}: draws.{part}.{metric}: must hold {protocol.draws} values that are not negative (null "
-                    "only for a settling time)"
+                    f"{path}: draws.{part}.{metric}: "
+                    f"must hold {protocol.draws} values that are not negative (null only for a settling time)"
                 )
         check = _check_moves if protocol.parts[part].metrics == "reach" else _check_paths
         check(f"{path}: draws.{part}", values, protocol)

@@ -124,8 +124,8 @@ def _pulley_bodies(
 ) -> str:
     """Return a body for each pulley, which turns and does not travel."""
     return "".join(
-        f"<body{_named(c, drawn)}{_place(i, drawn)}>{_inertia(_PULLEY_MASS, c.mass)}{joint(c, 'hinge', '0 0 1')}"
-        f"{shapes.get(c.name, '')}</body>"
+        f"<body{_named(c, drawn)}{_place(i, drawn)}>"
+        f"{_inertia(_PULLEY_MASS, c.mass)}{joint(c, 'hinge', '0 0 1')}{shapes.get(c.name, '')}</body>"
         for i, c in enumerate(c for c in machine.coordinates if c.kind == "rotary")
     )
 
@@ -172,7 +172,8 @@ def tool_coordinates(machine: Machine) -> list[Coordinate]:
     if not axes or others:
         reason = f"it also has {', '.join(others)}" if axes else "it has no tool axes"
         raise InputError(
-            f"machine {machine.name!r}: only a tool with one or two axes and pulleys has a model of bodies; {reason}"
+            f"machine {machine.name!r}: only a tool with one or two axes "
+            f"and pulleys has a model of bodies; {reason}"
         )
     return axes
 

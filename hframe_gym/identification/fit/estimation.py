@@ -119,7 +119,10 @@ def describe_gain(before: Fit, after: Fit) -> str:
         Text that continues a sentence whose subject is the effect.
     """
     if not after.chi2 < before.chi2:
-        return f"does not reduce chi-squared per sample ({before.chi2:.4g}, with it {after.chi2:.4g}, {before.mode})"
+        return (
+            f"does not reduce chi-squared per sample ({before.chi2:.4g}, "
+            f"with it {after.chi2:.4g}, {before.mode})"
+        )
     return f"reduces chi-squared per sample from {before.chi2:.4g} to {after.chi2:.4g} ({before.mode})"
 
 

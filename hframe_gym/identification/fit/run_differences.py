@@ -131,10 +131,10 @@ class RunDifferences(NamedTuple):
                 "" if self.quantity.additions else " times the fitted value"
             )
             return (
-                f"One machine explains all runs with another value of {self.quantity.name} than the fit permits, the "
-                f"same in every run: {change} ({chi2}). That is no difference between runs but a common factor, such "
-                "as a wrong unit of a column or a wrong gain: check the units, the constants of the drives and the "
-                "gear ratios."
+                f"One machine explains all runs with another value of {self.quantity.name} "
+                f"than the fit permits, the same in every run: {change} ({chi2}). "
+                "That is no difference between runs but a common factor, such as a wrong unit of a column "
+                "or a wrong gain: check the units, the constants of the drives and the gear ratios."
             )
         run = self.different_run
         if run is not None:
@@ -149,15 +149,18 @@ class RunDifferences(NamedTuple):
                 if self.explains
                 else "much less is left, though not only noise"
             )
-            return f"{run} differs from the other runs in {self.quantity.name}: {change}. With this, {rest} ({chi2})."
+            return (
+                f"{run} differs from the other runs in {self.quantity.name}: {change}. "
+                f"With this, {rest} ({chi2})."
+            )
         runs = ", ".join(f"{run} {self.quantity.describe(amount)}" for run, amount in self.amounts.items())
         kind = (
             "Difference from the lightest run" if self.quantity.additions else "Ratio to the smallest value"
         )
         return (
-            f"The runs differ: one machine explains all of them if {self.quantity.name} has a value of its own in each "
-            f"run ({chi2}). {kind}: {runs}. Keep it constant while you record, or identify runs with the same value by "
-            "themselves."
+            f"The runs differ: one machine explains all of them if {self.quantity.name} "
+            f"has a value of its own in each run ({chi2}). {kind}: {runs}. "
+            "Keep it constant while you record, or identify runs with the same value by themselves."
         )
 
 

@@ -49,8 +49,8 @@ _MOST_UPDATES = 20  # a row; with more, voltages act earlier by less than a fort
 
 
 _ERRS = (
-    "what the controller did between the rows beyond that adds up to an error of every simulation: log at the rate of "
-    "the controller{}"
+    "what the controller did between the rows beyond that adds up to an error of every simulation: "
+    "log at the rate of the controller{}"
 )
 _SUFFICES = "they are so smooth that simulations err less by this than by the sensors' noise"
 
@@ -76,9 +76,9 @@ class VoltageUpdates(NamedTuple):
             period: Sampling period of the log, s.
         """
         return (
-            f"the {commands} change between the rows, about {self.per_row} times from one row to the next (every "
-            f"{1e3 * period / self.per_row:.2g} ms; chi-squared per sample {self.fitted:.3g} instead of "
-            f"{self.held:.3g} with held {commands})"
+            f"the {commands} change between the rows, about {self.per_row} "
+            f"times from one row to the next (every {1e3 * period / self.per_row:.2g} "
+            f"ms; chi-squared per sample {self.fitted:.3g} instead of {self.held:.3g} with held {commands})"
         )
 
 

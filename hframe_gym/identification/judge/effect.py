@@ -431,12 +431,15 @@ def parameter_at_limit(parameters: Iterable[ParameterValue]) -> str:
             low, high = (1.0 + AT_LIMIT) * p.covered[0], (1.0 - AT_LIMIT) * p.covered[1]
             if p.value >= high or (p.covered_below and p.value <= low):
                 return (
-                    f"fits only with {p.name} at the limit of what the runs cover ({p.value:.3g} {p.unit}): they "
-                    "cannot tell it from a simpler cause"
+                    f"fits only with {p.name} at the limit of what the runs cover ({p.value:.3g} {p.unit}): "
+                    "they cannot tell it from a simpler cause"
                 )
         for limit in p.limits:
             if math.isclose(p.value, limit, rel_tol=AT_LIMIT):
-                return f"fits only with {p.name} at the limit of its range ({limit:g}): another effect may imitate it"
+                return (
+                    f"fits only with {p.name} at the limit of its range ({limit:g}): "
+                    "another effect may imitate it"
+                )
     return ""
 
 

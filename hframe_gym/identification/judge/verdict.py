@@ -138,19 +138,20 @@ def contradiction_of_no_effect(evidence: VerdictEvidence, criteria: SelectionCri
         if not predictions_explain(unstable):
             return (
                 "the motion of the held-out runs is unstable, and the squared error of their predictions is "
-                f"{unstable.predicted:.3g} times that of an exact machine; up to {AS_GOOD:g} times counts as explained"
+                f"{unstable.predicted:.3g} times that of an exact machine; "
+                f"up to {AS_GOOD:g} times counts as explained"
             )
         motion, left = motion / left, 1.0  # an error that grew hides nothing; the noise may
     if not evidence.predicted < criteria.explained_chi2:
         return (
-            f"predictions of the held-out runs have a chi-squared per sample of {evidence.predicted:.3g}, and noise "
-            f"and the unknown voltages between the rows explain {criteria.explained_chi2:g} at most"
+            f"predictions of the held-out runs have a chi-squared per sample of {evidence.predicted:.3g}, "
+            f"and noise and the unknown voltages between the rows explain {criteria.explained_chi2:g} at most"
         )
     beyond = error_beyond_noise(motion, left)
     if not beyond <= criteria.max_motion_error:
         return (
-            f"the error is at the noise of the sensors, but that may hide {100 * beyond:.2g} % of the motion: too "
-            "much to tell whether an effect is missing"
+            "the error is at the noise of the sensors, but that may hide "
+            f"{100 * beyond:.2g} % of the motion: too much to tell whether an effect is missing"
         )
     return ""
 
@@ -195,8 +196,8 @@ def contradiction_of_names(evidence: VerdictEvidence, explained: bool, criteria:
     if measured <= limit:
         return ""
     return (
-        f"{100 * min(measured, 1.0):.3g} % of the squared error remain with the effects ({evidence.in_words}); effects "
-        f"are named if at most {100 * limit:.2g} % remain"
+        f"{100 * min(measured, 1.0):.3g} % of the squared error remain with the effects "
+        f"({evidence.in_words}); effects are named if at most {100 * limit:.2g} % remain"
     )
 
 

@@ -110,8 +110,8 @@ def removed_by_effects(report: Report) -> list[str]:
     if (explained := report.explained) is None:
         return []
     removed = (
-        f"The effects remove {percent(max(explained, 0.0))} % of the squared error beyond the noise on runs to which "
-        "nothing was fitted."
+        f"The effects remove {percent(max(explained, 0.0))} % of the squared "
+        "error beyond the noise on runs to which nothing was fitted."
     )
     left = report.left
     at_noise = left is not None and left <= SelectionCriteria().max_noise_ratio_explained
@@ -143,8 +143,8 @@ def _whiteness(report: Report) -> str:
         return "The remaining error is consistent with the sensors' noise."
     if (report.left or math.inf) < NOTICEABLE_ERROR:
         return (
-            "The remaining error is about as large as the sensors' noise, but it is correlated in time: a small "
-            "systematic part is left."
+            "The remaining error is about as large as the sensors' noise, but it is correlated in time: "
+            "a small systematic part is left."
         )
     return "The remaining error is larger than the sensors' noise."
 

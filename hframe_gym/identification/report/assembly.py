@@ -29,8 +29,8 @@ from .experiment_design import design_discriminating_experiment
 from .result import IdentificationResult, RejectedEffect, Unfinished
 
 _UNEXCITED = (
-    "The held-out runs do not excite {}: the gain on them says nothing, and only the fitted runs confirm it. Hold out "
-    "other runs with --hold-out for an independent test."
+    "The held-out runs do not excite {}: the gain on them says nothing, and only the fitted runs confirm it. "
+    "Hold out other runs with --hold-out for an independent test."
 )
 _MAX_NEAREST = 3  # Effects that a hint lists as the nearest of the library.
 _MAX_DEPENDENCES = 6  # Variables that the report lists for the residual force.

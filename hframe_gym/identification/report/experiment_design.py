@@ -73,17 +73,17 @@ class ExperimentDesign:
         """Purpose and expected effect of the run in English sentences, for the report."""
         first, second = self.separates
         size = (
-            f"by {self.sigma:.3g} standard deviations of the sensors' noise in total ({self.rms:.2g} rms per measured "
-            f"value, most in {self.channel})"
+            f"by {self.sigma:.3g} standard deviations of the sensors' noise in total "
+            f"({self.rms:.2g} rms per measured value, most in {self.channel})"
         )
         if self.sigma > CLEAR_SIGMA:
             size = (
-                f"clearly (by more than {CLEAR_SIGMA:.0f} standard deviations of the sensors' noise in total, most in "
-                f"{self.channel})"
+                f"clearly (by more than {CLEAR_SIGMA:.0f} standard deviations "
+                f"of the sensors' noise in total, most in {self.channel})"
             )
         return (
-            f"{first} and {second} explain the recordings equally well. On this run their predictions should differ "
-            f"{size}, even after a refit of the parameters of {second}. Start at rest at zero."
+            f"{first} and {second} explain the recordings equally well. On this run their predictions "
+            f"should differ {size}, even after a refit of the parameters of {second}. Start at rest at zero."
         )
 
     def write(self, path: Path, machine: Machine) -> None:

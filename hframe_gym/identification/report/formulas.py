@@ -105,8 +105,8 @@ class ProposedFormula:
         formula = Formula(terms, (), (), entry.curve_error)
         if len(terms) != len(entry.terms) or formula.complexity != len(entry.parameters):
             raise InputError(
-                f"report.json: proposed_formulas: {table.label}: the formula {entry.formula!r} has an unknown term "
-                "or lacks parameters; run `hframe identify` again to write the folder anew"
+                f"report.json: proposed_formulas: {table.label}: the formula {entry.formula!r} has "
+                "an unknown term or lacks parameters; run `hframe identify` again to write the folder anew"
             )
         effect = FormulaEffect(_NAME, formula.with_values(entry.parameters.values()), table, machine)
         return cls(effect, entry.fitted, entry.held_out, entry.recommended)
@@ -129,11 +129,15 @@ class ProposedFormula:
             InputError: If the name is not such an identifier.
         """
         if self.fitted is None:
-            note = "It was fitted to the table alone; identify the machine with it to see its error on held-out runs."
+            note = (
+                "It was fitted to the table alone; "
+                "identify the machine with it to see its error on held-out runs."
+            )
         else:
             note = (
-                f"Error on the held-out runs: {self.mean_noise_ratio:.3g} times the sensor noise with this formula of "
-                f"{self.effect.formula.complexity} parameters, {table_error:.3g} with the table of {KNOTS} values."
+                f"Error on the held-out runs: {self.mean_noise_ratio:.3g} "
+                f"times the sensor noise with this formula of {self.effect.formula.complexity} parameters, "
+                f"{table_error:.3g} with the table of {KNOTS} values."
             )
         try:
             effect = dataclasses.replace(self.effect, name=name, notes=(note,))

@@ -19,8 +19,8 @@ from .rows import EffectRow
 from .saved_result import SavedResult
 
 _NO_DIRECTION = (
-    "Add a sensor that shows the direction of the motion, such as an encoder with two channels: without one, the force "
-    "that the model lacks is not seen. Then record the runs again and identify with them."
+    "Add a sensor that shows the direction of the motion, such as an encoder with two channels: without one, "
+    "the force that the model lacks is not seen. Then record the runs again and identify with them."
 )
 # Of an effect and another one that explains as much.
 _NO_EXPERIMENT = (
@@ -29,7 +29,9 @@ _NO_EXPERIMENT = (
 _EQUIVALENT = "No recording can distinguish"
 _SHORTER_PERIODS_S = (0.005, 0.002, 0.001, 0.0005)  # control periods at which a textbook PID is tried
 _MOTIONS = {  # by the quantity of a variable: the run that shows a dependence on it
-    "velocity": "move {} at six or more constant speeds in both directions, from the slowest to the top speed",
+    "velocity": (
+        "move {} at six or more constant speeds in both directions, from the slowest to the top speed"
+    ),
     "position": "move {} slowly and at constant speed over its full travel, several times in both directions",
     "path": "repeat the same motion for several minutes without a pause",
     "acceleration": "accelerate {} with several {commands} from the same place, in both directions",
@@ -44,7 +46,8 @@ _MEASUREMENTS = (  # by the ending of a parameter's name, those first that are m
     (".mass", "weigh the part, or compute its inertia from its drawing"),
     (
         ".Ke",
-        "take it from the data sheet of the motor, or turn the motor by hand and measure its voltage and speed",
+        "take it from the data sheet of the motor, or turn the motor by "
+        "hand and measure its voltage and speed",
     ),
     (".Kt", "take it from the data sheet of the motor"),
     (".R", "measure it with an ohmmeter"),
@@ -76,7 +79,8 @@ def next_steps(
     ) > SelectionCriteria().max_noise_ratio_explained and report.verdict != "unexplained":
         steps.append(
             NextStep(
-                f"Look at {runs[0]}, the run with the largest error, where measured and simulated curves part."
+                f"Look at {runs[0]}, the run with the largest error, "
+                "where measured and simulated curves part."
             )
         )
     if report.proposed_formulas:
@@ -101,8 +105,9 @@ def _recordings(saved: SavedResult, folder: Path, effects: Sequence[EffectRow]) 
         return [NextStep(_NO_DIRECTION, _again(saved, folder))]
     if report.verdict == "unexplained":
         text = (
-            "Look for a physical cause of the dependence in the section Residual force. Record runs that isolate it: "
-            f"{_isolating(report, saved.machine.commands_in_words)}. Then identify again with them."
+            "Look for a physical cause of the dependence in the section Residual force. "
+            f"Record runs that isolate it: {_isolating(report, saved.machine.commands_in_words)}. "
+            "Then identify again with them."
         )
         return [NextStep(text, _again(saved, folder))]
     for effect in (e for e in effects if e.rivals):
@@ -164,7 +169,8 @@ def _control(verdict: str, machine: Machine, folder: Path, has_effects: bool) ->
         )
         return NextStep(
             text,
-            f"hframe simulate --machine {quoted(str(folder / 'machine.json'))} --inputs RUN.csv --out OUT.csv",
+            f"hframe simulate --machine {quoted(str(folder / 'machine.json'))} "
+            "--inputs RUN.csv --out OUT.csv",
         )
     period = shorter_period(machine, EnvConfig.period) or EnvConfig.period
     if machine.drive_laws:

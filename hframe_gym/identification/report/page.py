@@ -163,7 +163,10 @@ def _plain_sentence(report: Report) -> str:
     terms = ", ".join(term.replace("_", " ").replace("@", " at ") for term in plain.terms)
     beside = f", with {terms}" if terms else ""
     delivered = " It is the machine that is delivered, because it predicts best." if plain.delivered else ""
-    return f"The plain fit has inertia and friction from the recordings alone{beside}, and no effects.{delivered}"
+    return (
+        f"The plain fit has inertia and friction from the recordings alone{beside}, "
+        f"and no effects.{delivered}"
+    )
 
 
 def _run_row(report: Report, curves: ResultCurves, run: str) -> dict[str, Any]:

@@ -114,12 +114,14 @@ def parameters_at_limit(machine: Machine, declared: Machine) -> dict[str, str]:
         elif _is_known(parameter.name):
             described[parameter.name] = (
                 f"{parameter.name} ends at the limit of the fit, {ratio} times its declared "
-                "value: check the machine file (mass, Kt, resistance, gear ratio) and the units of the recordings"
+                "value: check the machine file (mass, Kt, resistance, gear ratio) "
+                "and the units of the recordings"
             )
         else:
             described[parameter.name] = (
-                f"{parameter.name} ends at the limit of the fit, {ratio} times its declared value: correct the machine "
-                "file if that is possible, because the other parameters compensate for what is beyond the limit"
+                f"{parameter.name} ends at the limit of the fit, {ratio} times its declared value: "
+                "correct the machine file if that is possible, "
+                "because the other parameters compensate for what is beyond the limit"
             )
     return dict(sorted(described.items(), key=lambda item: not _is_known(item[0])))
 

@@ -84,7 +84,10 @@ def reason_of_remainder(report: Report) -> str:
     }
     error = min(formulas, default=math.inf)  # ratio of simulation error to noise, as `left`
     if report.left is not None and is_better_than_table(error, report.left):
-        return f"; with the proposed formula ({formulas[error]}) in place of the table, it is {number(error)} times"
+        return (
+            f"; with the proposed formula ({formulas[error]}) "
+            f"in place of the table, it is {number(error)} times"
+        )
     if tables:
         return ". A table has straight pieces and names no cause"
     if report.unknown_voltages:

@@ -69,8 +69,9 @@ class Unfinished(NamedTuple):
     def __str__(self) -> str:
         """Return a sentence for the user."""
         return (
-            f"The search is not complete: {self.reason} ({self.stage}). Effects and tables that would have followed "
-            "were not tried, so the verdict is that of what was found until then. A larger --budget continues."
+            f"The search is not complete: {self.reason} ({self.stage}). "
+            "Effects and tables that would have followed were not tried, "
+            "so the verdict is that of what was found until then. A larger --budget continues."
         )
 
 
@@ -169,7 +170,10 @@ class IdentificationResult:
     def divergence_warnings(self) -> tuple[str, ...]:
         """Warnings about machines whose simulation diverges on a held-out run, one sentence each."""
         models = (("declared", self.declared), ("refitted", self.before), ("corrected", self.after))
-        why = "less than the recorded voltage acts (amplifier limit, emergency stop, wrong scale), or masses are wrong"
+        why = (
+            "less than the recorded voltage acts (amplifier limit, emergency stop, "
+            "wrong scale), or masses are wrong"
+        )
         text = f"The simulation of the {{}} machine diverges on {{}}, so it has no error: {why}."
         return tuple(
             text.format(stage, ", ".join(model.diverged)) for stage, model in models if model.diverged

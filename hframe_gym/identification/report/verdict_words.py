@@ -12,13 +12,14 @@ from .units import readable_unit
 # Fraction of the refitted machine's error below which that of the declared one is mentioned.
 _CLEARLY_BETTER = 0.9
 _DEVIATING = (
-    "Only {} deviate{}: the other sensors agree with the simulation, although they would show an error of the motion. "
+    "Only {} deviate{}: the other sensors agree with the simulation, "
+    "although they would show an error of the motion. "
     "The cause lies at this sensor, its mounting or frame, or in an elastic part between it and the motors."
 )
 _BY_INSTRUMENTS = (
-    "The standard deviations come from a fit by instruments (smoothed {0} and measurements). The parameters are "
-    "those of this fit, or lie between them and those of a fit to the residual that the statistics of the {0} make "
-    "white, whichever simulate runs to which they were not fitted best."
+    "The standard deviations come from a fit by instruments (smoothed {0} and measurements). "
+    "The parameters are those of this fit, or lie between them and those of a fit to the residual "
+    "that the statistics of the {0} make white, whichever simulate runs to which they were not fitted best."
 )
 
 
@@ -74,13 +75,14 @@ def unknown_voltages(report: Report) -> list[str]:
     if commands != "set points":
         advice += ", or describe the drives by their set point and log that"
     return [
-        f"The controller changes the {commands} about {unknown.changes_per_row} times between two rows of this log "
-        f"(every {period}), and the log does not contain these {commands}.",
+        f"The controller changes the {commands} about {unknown.changes_per_row} times "
+        f"between two rows of this log (every {period}), and the log does not contain these {commands}.",
         "In a simulation of the held-out runs, even the exact machine is therefore expected to err by "
         f"{' and '.join(sizes)} (rms): what changes the motion by less cannot be found.",
         *(
             [
-                f"The machine that is delivered leaves only {' and '.join(refuted)}: this estimate is too large."
+                f"The machine that is delivered leaves only {' and '.join(refuted)}: "
+                "this estimate is too large."
             ]
             if refuted
             else []
@@ -115,12 +117,18 @@ def _verdict_sentence(report: Report) -> str:
         return " ".join([*remainder_in_words(report), found, *unfinished_search(report)])
     if report.verdict == "no_effect":
         remainder = _remainder(report)
-        start = f"No effect {'was found' if remainder else 'is missing'}: with refitted parameters, the error of the"
+        start = (
+            f"No effect {'was found' if remainder else 'is missing'}: "
+            "with refitted parameters, the error of the"
+        )
         found = f"{start} declared model on the held-out runs is {before} {unit}.{remainder}"
         return " ".join(
             [found, *([] if remainder else remainder_in_words(report)), *unfinished_search(report)]
         )
-    text = f"The error of the refitted model on the held-out runs is {before} {unit}, and no known effect explains it."
+    text = (
+        f"The error of the refitted model on the held-out runs is {before} {unit}, "
+        "and no known effect explains it."
+    )
     if report.plain and report.plain.delivered:
         text += f" A plain fit of inertia and friction leaves {after} {unit}, and is delivered."
     elif not report.effects and "after" in compared_machines(report):

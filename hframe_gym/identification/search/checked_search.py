@@ -39,24 +39,24 @@ from .outcome import SearchOutcome, VoltagesChangeError, with_removed
 from .search_effects import search_effects
 
 _CONTRADICTION = (
-    "{} is not used: the other runs agree with one machine to within their noise, and this run contradicts it. Check "
-    "its voltages, gains and sensors."
+    "{} is not used: the other runs agree with one machine to within their noise, "
+    "and this run contradicts it. Check its voltages, gains and sensors."
 )
 _HELD_OUT_CONTRADICTION = (
-    "{} was held out and contradicts the fitted runs: either something was wrong with it (check its voltages, gains "
-    "and sensors), or it shows what the fitted runs do not excite (hold out another run with --hold-out). The "
-    "errors on held-out runs include it."
+    "{} was held out and contradicts the fitted runs: "
+    "either something was wrong with it (check its voltages, gains and sensors), or it shows what the fitted "
+    "runs do not excite (hold out another run with --hold-out). The errors on held-out runs include it."
 )
 _HINT = (
-    "If the held-out runs are fitted as well, {} would explain all runs, but no other run confirms it. Record another "
-    "run such as {} and identify again."
+    "If the held-out runs are fitted as well, {} would explain all runs, but no other run confirms it. "
+    "Record another run such as {} and identify again."
 )
 _BETWEEN_ROWS = (
     "In this log, {}. They are interpolated; {}. `hframe simulate` interpolates them with --updates {}."
 )
 _PLAIN_ENDED = (
-    "The plain fit ended after {:.0f} s of processor time, its part of the budget, with its best parameters so far. A "
-    "larger --budget completes it."
+    "The plain fit ended after {:.0f} s of processor time, its part of the budget, "
+    "with its best parameters so far. A larger --budget completes it."
 )
 
 BeforeSearch = Callable[[PlainFit | None, Dataset, Dataset], None]

@@ -47,11 +47,11 @@ from .machine_errors import ModelEvaluation, PredictionErrors, evaluate_held_out
 from .unstable_motion import enlargement
 
 _UNSTABLE = (
-    "The motion of the held-out runs is unstable, as that of a pendulum above its axis: in a simulation, an error of "
-    "the size of the noise grows by a factor of {:.3g}. Simulations of complete runs therefore say nothing here: an "
-    "exact machine has such errors as well, and that of one machine is smaller than that of another by chance. "
-    "Predictions that the measurements correct judge the verdict and the machine that is delivered; their squared "
-    "error is {:.3g} times that of an exact machine at most."
+    "The motion of the held-out runs is unstable, as that of a pendulum above its axis: "
+    "in a simulation, an error of the size of the noise grows by a factor of {:.3g}. Simulations of complete "
+    "runs therefore say nothing here: an exact machine has such errors as well, and that of one machine "
+    "is smaller than that of another by chance. Predictions that the measurements correct judge the verdict "
+    "and the machine that is delivered; their squared error is {:.3g} times that of an exact machine at most."
 )
 
 

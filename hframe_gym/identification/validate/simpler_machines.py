@@ -42,32 +42,34 @@ _TRIALS = 8  # a step: far from the data, as here, linearized gains say little a
 _BUDGET_PART = 0.3  # of the budget of the identification
 _LONGEST = 45.0  # s of processor time
 _REFINED = (
-    "The parameters were fitted again in simulation, because the plain fit of inertia and friction predicted the "
-    "held-out runs better."
+    "The parameters were fitted again in simulation, because the plain "
+    "fit of inertia and friction predicted the held-out runs better."
 )
 _NO_CAUSES = (
-    "The machine that is delivered has {}, with values that were fitted to complete runs, because the plain fit of "
-    "inertia and friction predicted the held-out runs better than the values of the search. They are no causes: with "
-    "them, the machine lacks {:.3g} % of the drives' force, without them {:.3g} %."
+    "The machine that is delivered has {}, with values that were fitted to complete runs, because "
+    "the plain fit of inertia and friction predicted the held-out runs better than the values of the search. "
+    "They are no causes: with them, the machine lacks {:.3g} % of the drives' force, without them {:.3g} %."
 )
 _CONTRADICTED = "with values that predict complete runs, more force is missing than without it"
 _WORSE_THAN_PLAIN = "predicts the held-out runs worse than a plain fit of inertia and friction"
 _PLAIN_DELIVERED = (
-    "The machine that is delivered is the plain fit of inertia and friction, because that of the search has {:.3g} "
-    "times its error on the held-out runs; terms beside them: {}."
+    "The machine that is delivered is the plain fit of inertia and friction, "
+    "because that of the search has {:.3g} times its error on the held-out runs; terms beside them: {}."
 )
 _DECLARED_DELIVERED = (
-    "The machine that is delivered is the declared one: fitted to the other runs, it has {:.3g} times its error on the "
-    "held-out runs. The runs may differ in what the model takes as constant, such as load or friction."
+    "The machine that is delivered is the declared one: "
+    "fitted to the other runs, it has {:.3g} times its error on the held-out runs. "
+    "The runs may differ in what the model takes as constant, such as load or friction."
 )
 _WORSE_THAN_DECLARED = "predicts the held-out runs worse than the declared machine"
 _DESCRIPTION = (
-    "The machine that is delivered describes the remaining error by {}. They are no causes: other effects with similar "
-    "forces might describe these runs as well. With them, the error on the held-out runs is {:.3g} times that without."
+    "The machine that is delivered describes the remaining error by {}. "
+    "They are no causes: other effects with similar forces might describe these runs as well. "
+    "With them, the error on the held-out runs is {:.3g} times that without."
 )
 _ONLY_COMPLETE_RUNS = (
-    " This holds for complete runs only: with them, the machine lacks {:.3g} % of the drives' force, without them "
-    "{:.3g} %. Control with before.json, which has none of them."
+    " This holds for complete runs only: with them, the machine lacks {:.3g} % of the drives' force, "
+    "without them {:.3g} %. Control with before.json, which has none of them."
 )
 
 

@@ -266,8 +266,9 @@ class LogConverter:
                 ((u, f) for longest, u, f in _TIME_UNITS if step < longest), _TIME_UNITS[-1][1:]
             )
             raise InputError(
-                f"{log.place}, column {source.column.header}: has no unit and steps of {step:g}, which are long for "
-                f"seconds; state its unit by --unit {TIME}={unit} (rows at {factor / step:.4g} Hz), or ms, us, ns, s"
+                f"{log.place}, column {source.column.header}: "
+                f"has no unit and steps of {step:g}, which are long for seconds; "
+                f"state its unit by --unit {TIME}={unit} (rows at {factor / step:.4g} Hz), or ms, us, ns, s"
             )
         return time_s
 
@@ -281,8 +282,9 @@ def _refuse_other_lengths(
     for source in sources:
         if source.column is not None and (count := len(by_header[source.column.header])) != rows:
             raise InputError(
-                f"{log.place}: {source.column.header} has {count} rows, but {time.column.header} has {rows}; a file "
-                "without a column of time is joined row by row, so that both need equally many: add its times to it"
+                f"{log.place}: {source.column.header} has {count} rows, but {time.column.header} has {rows}; "
+                "a file without a column of time is joined row by row, "
+                "so that both need equally many: add its times to it"
             )
 
 
@@ -320,7 +322,10 @@ def _unit_advice(error: WrongUnitError, sources: Sequence[ChannelSource]) -> str
         source.channel for source in wrong if source.conversion == Conversion() and not source.integrate
     ]
     if read_as_si:
-        return f"{error} If so, add {' '.join(f'--unit {channel}={error.unit}' for channel in read_as_si)}: {origins}"
+        return (
+            f"{error} If so, add {' '.join(f'--unit {channel}={error.unit}' for channel in read_as_si)}: "
+            f"{origins}"
+        )
     options = f"--unit {wrong[0].channel}=UNIT or --scale {wrong[0].channel}=FACTOR"
     return (
         f"{error.problem}. The values in the log are suspect; check them, or correct their unit by "
@@ -355,8 +360,8 @@ def _refuse_separate_times(log: Log, times: Sequence[ChannelSource], tables: Seq
     if max(begin for begin, _, _ in spans) > min(end for _, end, _ in spans):
         listed = ", ".join(f"{header} is from {begin:.9g} to {end:.9g} s" for begin, end, header in spans)
         raise InputError(
-            f"{log.place}: the times have no moment in common: {listed}; the clocks must have the same zero, so "
-            "correct the times of one"
+            f"{log.place}: the times have no moment in common: {listed}; "
+            "the clocks must have the same zero, so correct the times of one"
         )
 
 

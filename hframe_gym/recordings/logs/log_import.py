@@ -295,8 +295,8 @@ class _Importer:
             )
         elif not self._several and recording.time_s[-1] - recording.time_s[0] >= _LONG_RUN:
             remarks.append(
-                f"{_LONG_RUN:g} s or longer: identification needs several runs; --split-at-rests cuts this one, or "
-                "--split-every 10 if it has no rests"
+                f"{_LONG_RUN:g} s or longer: identification needs several runs; "
+                "--split-at-rests cuts this one, or --split-every 10 if it has no rests"
             )
         for remark in remarks:
             self._log(f"  {remark}")

@@ -27,7 +27,8 @@ def open_joined(path: Path, others: Sequence[Path]) -> list[Log]:
         if len(joined) > 1:
             titles = ", ".join(log.part or log.run for log in joined)
             raise InputError(
-                f"--join {other}: holds {len(joined)} logs ({titles}); save the one that belongs to {path.name} alone"
+                f"--join {other}: holds {len(joined)} logs ({titles}); "
+                f"save the one that belongs to {path.name} alone"
             )
         logs = [_joined(log, joined[0]) for log in logs]
     return logs

@@ -292,17 +292,18 @@ class _LogMapping:
         for _, other in terms:
             differences = {
                 f"{other.header} contains no numbers": other.kind != "number",
-                f"{first.header} is in {first.unit or 'no unit'} and {other.header} in {other.unit or 'no unit'}": (
-                    other.unit != first.unit
-                ),
+                (
+                    f"{first.header} is in {first.unit or 'no unit'} "
+                    f"and {other.header} in {other.unit or 'no unit'}"
+                ): other.unit != first.unit,
                 f"{first.header} and {other.header} have different times": (
                     (other.rows, other.time) != (first.rows, first.time)
                 ),
             }
             for problem in (text for text, found in differences.items() if found):
                 raise InputError(
-                    f"{self.log.path}: {_map_option(channel, reference)}: {problem}; only numbers of one unit that "
-                    "were logged together can be added"
+                    f"{self.log.path}: {_map_option(channel, reference)}: {problem}; "
+                    "only numbers of one unit that were logged together can be added"
                 )
         header = "".join(f" {'-' if sign < 0.0 else '+'} {column.header}" for sign, column in terms)
         header = header.removeprefix(" + ").strip()
@@ -431,10 +432,13 @@ class _LogMapping:
         """Return the advice that ends the message about channels without a column."""
         if not unused and TIME not in missing:
             inputs = [channel for channel in missing if channel in self.machine.input_channels]
-            problem = f"No column is unassigned, but {', '.join(inputs)} {'has' if len(inputs) == 1 else 'have'} none"
+            problem = (
+                f"No column is unassigned, but {', '.join(inputs)} "
+                f"{'has' if len(inputs) == 1 else 'have'} none"
+            )
             return (
-                f"{problem}. The commands must be recorded: add those of another file by --join FILE, or a column "
-                "of zeros for a drive that was not used"
+                f"{problem}. The commands must be recorded: "
+                "add those of another file by --join FILE, or a column of zeros for a drive that was not used"
             )
         proposals = proposed_headers(self.machine, missing, unused)
         counters = [column for column in unused if _counts_rows(column)]
@@ -475,8 +479,9 @@ class _LogMapping:
                 continue
             sign = "+" if rates[1] * factor > 0.0 else "-"
             return (
-                f". If the log has set points of the tool, in m, they are added: {_map_option(channel, f'X {sign} Y')} "
-                f"--scale {channel}={factor:.6g} (with the names of their columns; {factor / 1e3:.6g} for mm)"
+                ". If the log has set points of the tool, in m, they are added: "
+                f"{_map_option(channel, f'X {sign} Y')} --scale {channel}={factor:.6g} "
+                f"(with the names of their columns; {factor / 1e3:.6g} for mm)"
             )
         return ""
 

@@ -115,7 +115,10 @@ def _advice(machine: Machine, channel: str, column: Meaning) -> str:
     family = column.family
     if channel == TIME:
         if family in _COUNTS:
-            return f"state the rate of its steps by --unit {TIME}=8kHz, or a factor to s by --scale {TIME}=FACTOR"
+            return (
+                f"state the rate of its steps by --unit {TIME}=8kHz, "
+                f"or a factor to s by --scale {TIME}=FACTOR"
+            )
         advice = f"for a log without a column of time state the rate of its rows, e.g. --map {TIME}=200Hz"
         if column.evidence == "name":
             return f"{advice}; add --unit {TIME}=s if the column is a time in spite of its name"
@@ -130,8 +133,8 @@ def _advice(machine: Machine, channel: str, column: Meaning) -> str:
             return _advice_about_commands(channel, column)
         if family == "duty cycle":
             return (
-                f"state its unit by --unit {channel}=% or --unit {channel}=pu (1 is the rated voltage), or the volts "
-                f"of one step by --scale {channel}=FACTOR"
+                f"state its unit by --unit {channel}=% or --unit {channel}=pu (1 is the rated voltage), "
+                f"or the volts of one step by --scale {channel}=FACTOR"
             )
         if family == "voltage":
             return "describe its drive with the kind voltage and a channel such as u_V (docs/own_machine.md)"
@@ -141,13 +144,22 @@ def _advice(machine: Machine, channel: str, column: Meaning) -> str:
             advice = "map the voltage or the duty cycle that was applied"
         if family in _COMMANDED and column.evidence == "name":
             unit = SI_UNITS[commanded]
-            return f"{advice}, or add --unit {channel}={unit} if the column is the {commanded} in spite of its name"
+            return (
+                f"{advice}, or add --unit {channel}={unit} if the column is "
+                f"the {commanded} in spite of its name"
+            )
         return advice
     dimension = channel_dimension(machine, channel)
     if dimension not in _MOTIONS:
-        advice = f"map a measured {dimension}, or state the factor to {SI_UNITS[dimension]} by --scale {channel}=FACTOR"
+        advice = (
+            f"map a measured {dimension}, or state the factor to {SI_UNITS[dimension]} "
+            f"by --scale {channel}=FACTOR"
+        )
         if family == "current" and column.evidence == "name":
-            return f"{advice}, or its unit by --unit {channel}=UNIT if it is a present {dimension} and no current"
+            return (
+                f"{advice}, or its unit by --unit {channel}=UNIT if it is "
+                f"a present {dimension} and no current"
+            )
         return advice
     if family == "position":
         units = ", ".join(accepted_units(machine, channel))
@@ -169,8 +181,8 @@ def _advice_about_commands(channel: str, column: Meaning) -> str:
         "force": "Ke 0, resistance 1, Kt 1, gear_ratio 1 and the channel force_N",
     }
     advice = (
-        f"map the voltage that was applied, or, if the amplifier controls the {column.family}, describe its drive with "
-        f"{description[column.family]} (docs/own_machine.md)"
+        f"map the voltage that was applied, or, if the amplifier controls the {column.family}, "
+        f"describe its drive with {description[column.family]} (docs/own_machine.md)"
     )
     if column.evidence == "name" and not column.unit:
         return f"{advice}; add --unit {channel}=V only if the column is a voltage in spite of its name"

@@ -345,7 +345,8 @@ class MachineReader:
         except KeyError:
             raise self._error(
                 field,
-                f"no such effect; there are {', '.join(EFFECTS)}; {_OWN_PART}{suggestion(entry.name, EFFECTS)}",
+                f"no such effect; there are {', '.join(EFFECTS)}; "
+                f"{_OWN_PART}{suggestion(entry.name, EFFECTS)}",
             ) from None
         sites = effect_sites(definition, machine)
         # A file may declare sites that no search tries, and already has the components that a structural effect adds.

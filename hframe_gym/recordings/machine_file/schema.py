@@ -108,8 +108,8 @@ EFFECT_FIELDS: dict[type[Component], dict[str, EffectField]] = {
     Sensor: {
         "range": EffectField(
             "sensor_range",
-            "Lowest and highest measurement [low, high], in the sensor's unit (declares the effect sensor_range). "
-            "Default: unlimited.",
+            "Lowest and highest measurement [low, high], in the sensor's "
+            "unit (declares the effect sensor_range). Default: unlimited.",
             None,
             lambda low, high: {"low": low, "high": high},
         ),

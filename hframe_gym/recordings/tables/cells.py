@@ -16,7 +16,9 @@ _COMMENT_SIGNS = ("#", "%", "//")
 _MISSING = re.compile(rf"(?:{MISSING_WORDS}|[+-]?nan|)", re.IGNORECASE)
 # Also a number whose thousands are separated, which is refused later with advice; "1.0,0.5,0.2" is a row of numbers.
 NUMBER = re.compile(
-    r"[+-]?(?:\d+(?:[.,]\d*)?|\d{1,3}(?:\.\d{3})+(?:,\d*)?|\d{1,3}(?:,\d{3})+(?:\.\d*)?|[.,]\d+)(?:e[+-]?\d+)?"
+    r"[+-]?"
+    r"(?:\d+(?:[.,]\d*)?|\d{1,3}(?:\.\d{3})+(?:,\d*)?|\d{1,3}(?:,\d{3})+(?:\.\d*)?|[.,]\d+)"
+    r"(?:e[+-]?\d+)?"
     r"|[+-]?inf(?:inity)?",
     re.IGNORECASE,
 )

@@ -145,8 +145,8 @@ def _refuse_decimal_commas(path: Path, above: Sequence[Sequence[str]], width: in
     names = max(map(len, above), default=0)
     if names > 1 and names + 1 < width <= 2 * names:
         raise InputError(
-            f"{path}: the rows have {width} cells under {names} names; if commas are also decimal marks, export it "
-            "with semicolons between the columns"
+            f"{path}: the rows have {width} cells under {names} names; "
+            "if commas are also decimal marks, export it with semicolons between the columns"
         )
 
 

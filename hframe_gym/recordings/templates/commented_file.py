@@ -34,7 +34,8 @@ def write_machine_template(like: str, machine: Machine, path: Path) -> None:
             del entry["radius"]
     word = quoted(path.name)
     first = [
-        "Machine description of hframe_gym. All values are in SI units; docs/machine.md describes every field.",
+        "Machine description of hframe_gym. All values are in SI units; "
+        "docs/machine.md describes every field.",
         TEMPLATES[like].comment,
         "Comments like this one are allowed in every object. They are ignored.",
         f"Next: hframe machines show {word}, then hframe check RUNS --machine {word}",

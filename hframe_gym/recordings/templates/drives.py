@@ -73,8 +73,8 @@ def with_command(machine: Machine, drive: Drive, kind: str | None, inertia: floa
         return drive
     if kind not in COMMANDS:
         raise InputError(
-            f"--drive {kind}: choose one of {', '.join(COMMANDS)}{suggestion(kind, COMMANDS)}; docs/machine.md "
-            "describes all kinds"
+            f"--drive {kind}: choose one of {', '.join(COMMANDS)}{suggestion(kind, COMMANDS)}; "
+            "docs/machine.md describes all kinds"
         )
     of_kind = DRIVE_KINDS.get(kind)
     unit = "" if of_kind.fraction else of_kind.unit(machine.coordinate(drive.coordinate).kind)

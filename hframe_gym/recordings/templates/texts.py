@@ -27,8 +27,9 @@ class Template:
 
 _CARRIAGE = "The carriage. mass: everything that moves, plus gear_ratio^2 times the inertia of the rotor."
 _SHAFT = (
-    "What turns. mass: moment of inertia of everything that turns, plus gear_ratio^2 times that of the rotor. viscous: "
-    "without the back-EMF, which follows from Ke. Optional: range, [lowest, highest] angle, rad."
+    "What turns. mass: moment of inertia of everything that turns, "
+    "plus gear_ratio^2 times that of the rotor. viscous: without the back-EMF, which follows from Ke. "
+    "Optional: range, [lowest, highest] angle, rad."
 )
 _COREXY = {
     "x": "The carriage on the bridge. mass: everything that moves along x, i.e. carriage and tool.",
@@ -63,7 +64,8 @@ TEMPLATES: dict[str, Template] = {
     ),
     "axis": Template(
         "One axis",
-        "One axis: the motor moves the carriage directly, gear_ratio is the angle of its shaft per m of travel.",
+        "One axis: the motor moves the carriage directly, gear_ratio is "
+        "the angle of its shaft per m of travel.",
         {"x": _CARRIAGE},
     ),
     "belt-axis": Template(
@@ -76,7 +78,10 @@ TEMPLATES: dict[str, Template] = {
         "XY table, a motor for each direction",
         "XY table: each motor moves one axis directly, gear_ratio is the angle of its shaft per m of travel.",
         {
-            "x": "What moves along x, the y axis included. mass: plus gear_ratio^2 times the inertia of the rotor.",
+            "x": (
+                "What moves along x, the y axis included. "
+                "mass: plus gear_ratio^2 times the inertia of the rotor."
+            ),
             "y": "What moves along y. mass: plus gear_ratio^2 times the inertia of the rotor.",
         },
     ),
@@ -102,12 +107,14 @@ TEMPLATES: dict[str, Template] = {
     ),
 }
 PULLEY_COMMENT = (
-    "The pulley of a motor, behind the gear. mass: moment of inertia of the pulley, plus gear_ratio^2 times that of "
-    "the rotor. viscous: without the back-EMF, which follows from Ke. radius: pitch radius, teeth * pitch / (2 pi)."
+    "The pulley of a motor, behind the gear. "
+    "mass: moment of inertia of the pulley, plus gear_ratio^2 times that of the rotor. "
+    "viscous: without the back-EMF, which follows from Ke. radius: pitch radius, teeth * pitch / (2 pi)."
 )
 BELT_COMMENT = (
-    "A section of a belt. EA: force that would double its length. rest_length: its length with all coordinates at 0. "
-    "extension: m of stretch per m of travel of each coordinate (1 or -1; a pulley's travel is radius * angle)."
+    "A section of a belt. EA: force that would double its length. "
+    "rest_length: its length with all coordinates at 0. extension: "
+    "m of stretch per m of travel of each coordinate (1 or -1; a pulley's travel is radius * angle)."
 )
 DRIVE_COMMENTS = {  # by kind
     "voltage": (

@@ -79,7 +79,10 @@ BETWEEN_ROWS = (
     "explains little more than chance may beside the voltages between the rows, which are not known"
 )
 MOTION = "makes the sensors of one motion disagree more: something else is in error than one of them"
-FORM = "adds 19 % to the force of drag@x, which depends on the same variable: the form of that effect may be in error"
+FORM = (
+    "adds 19 % to the force of drag@x, which depends on the same variable: "
+    "the form of that effect may be in error"
+)
 
 
 @pytest.mark.parametrize(

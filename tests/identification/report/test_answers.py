@@ -114,8 +114,8 @@ def test_several_effects_are_separated_by_commas() -> None:
         after={"held_out": {"x_m": {"rmse": 2e-5, "noise_ratio": 1.0}}},
     )
     assert verdict_sentence(report) == (
-        "The machine has 2 effects that its model lacks: cogging at motor1, belt play at belts. With them, the error "
-        "on the held-out runs falls from 50 to 1 times the sensors' noise."
+        "The machine has 2 effects that its model lacks: cogging at motor1, belt play at belts. "
+        "With them, the error on the held-out runs falls from 50 to 1 times the sensors' noise."
     )
 
 
@@ -247,8 +247,8 @@ def test_an_error_of_a_run_that_contradicts_the_others_has_a_known_cause(
     subject = "run_4 contradicts" if len(runs) == 1 else "run_4 and run_8 contradict"
     assert sentence.startswith("No effect was found")
     assert sentence.endswith(
-        f" An error of 900 times the sensors' noise (20 mm rms at x_m) is left, because {subject} the fitted runs "
-        f"(see the warnings).{last}"
+        " An error of 900 times the sensors' noise (20 mm rms at x_m) "
+        f"is left, because {subject} the fitted runs (see the warnings).{last}"
     )
 
 

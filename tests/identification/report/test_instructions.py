@@ -107,8 +107,13 @@ def test_the_period_of_a_textbook_controller_is_the_longest_one_that_is_stable(
     saved = dataclasses.replace(load_result(tmp_path), machine=stage)
     saved.report.left = 1.0
     (step,) = next_steps(saved, tmp_path, (), ["run_2"])
-    expected = {0.01: "is stable at this period as well", 0.005: "needs 5 ms or less", 0.002: "needs 2 ms or less",
-                0.001: "needs 1 ms or less", 0.0005: "needs 0.5 ms or less"}  # fmt: skip
+    expected = {
+        0.01: "is stable at this period as well",
+        0.005: "needs 5 ms or less",
+        0.002: "needs 2 ms or less",
+        0.001: "needs 1 ms or less",
+        0.0005: "needs 0.5 ms or less",
+    }
     assert f"A textbook PID {expected[periods[0]]}." in step.text
 
 

@@ -279,7 +279,8 @@ def test_an_unexplained_error_is_stated_in_the_users_terms_with_a_hint(data: Dat
         "No name is given: 10 % of the squared error remain with the effects.",
         "lacks on x depends most on current of motor, which explains 62 % of its variance.",
         "The nearest effects of the library, which are no causes: current_limit@motor, load_friction@motor.",
-        "The search is not complete: the budget of 60 s of processor time ended (trial fit 2 of 5: cogging@motor).",
+        "The search is not complete: the budget of 60 s of processor time "
+        "ended (trial fit 2 of 5: cogging@motor).",
         "2.1 % of motion",
     ):
         assert text in page, text

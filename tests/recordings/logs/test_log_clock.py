@@ -151,8 +151,8 @@ def test_stamps_that_repeat_name_the_rate_that_repairs_them(axis: Machine, tmp_p
     with pytest.raises(InputError) as error:
         imported(tmp_path, axis, "t_ms", times)
     assert str(error.value).endswith(
-        "row 2, column time_s: 0 repeats row 1; times must increase; the clock has steps of 0.001 s: if the rows are "
-        "equally spaced, state their rate: --map time_s=2000Hz; time_s is the column 't_ms'"
+        "row 2, column time_s: 0 repeats row 1; times must increase; the clock has steps of 0.001 s: if "
+        "the rows are equally spaced, state their rate: --map time_s=2000Hz; time_s is the column 't_ms'"
     )
     run, _ = imported(tmp_path, axis, "t_ms", times, columns={"time_s": "2000Hz"})
     np.testing.assert_allclose(run.time_s, np.arange(2000) / 2000)

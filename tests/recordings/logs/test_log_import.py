@@ -835,7 +835,8 @@ def test_an_ambiguous_or_impossible_mapping_is_refused(
         ),
         (
             lambda t: text_of(t, ";", ",").replace("0,04;", "1.000,04;"),
-            "row 41, column time_s: '1.000,04' is not a number; export it without marks that separate thousands",
+            "row 41, column time_s: '1.000,04' is not a number; "
+            "export it without marks that separate thousands",
         ),
         (
             lambda t: text_of(t).replace("\n0.0", "\nMay 1 0:00:0"),
@@ -851,7 +852,8 @@ def test_an_ambiguous_or_impossible_mapping_is_refused(
         ),
         (
             lambda t: text_of(t | {"x_m": t["x_m"] * 1e5}),
-            "column x_m: .* cannot be m; is the column in millimeters. If so, add --unit x_m=mm: x_m is the col",
+            "column x_m: .* cannot be m; is the column in millimeters. "
+            "If so, add --unit x_m=mm: x_m is the col",
         ),
     ],
 )

@@ -60,7 +60,10 @@ def _open_mat(path: Path) -> list[Log]:
     kind = "an HDF5 file" if is_hdf5 else "a MATLAB file"
     parts = _mat_vectors(path, kind)
     if not parts:
-        advice = "save plain arrays, a struct of arrays or, as version 7, timeseries: save('log.mat', 'u', 'x', '-v7')"
+        advice = (
+            "save plain arrays, a struct of arrays or, as version 7, timeseries: "
+            "save('log.mat', 'u', 'x', '-v7')"
+        )
         require_extra(path, "tables, timetables and timeseries", "matlab", ["matio"], advice)
         raise InputError(f"{path}: has no arrays of numbers, tables or timeseries; {advice}")
     return [replace(vector_log(path, vectors, kind), part=part) for part, vectors in parts.items()]

@@ -129,8 +129,8 @@ def _times(
     difference = float(np.median(headers - recorded)) / 1e9
     if abs(difference) > _SAME_CLOCK:
         return recorded, [
-            f"{topic}: the times of its headers are {abs(difference):.3g} s {'after' if difference > 0 else 'before'} "
-            "those of the recorder, which are used"
+            f"{topic}: the times of its headers are {abs(difference):.3g} "
+            f"s {'after' if difference > 0 else 'before'} those of the recorder, which are used"
         ]
     return headers, [f"{topic}: the times are those of its headers"]
 

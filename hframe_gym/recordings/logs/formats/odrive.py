@@ -26,7 +26,8 @@ _UNITS = {
 }
 # Names that no other controller has.
 _OWN = re.compile(
-    rb"(?<![a-z_])(?:pos_estimate|vel_estimate|iq_measured|iq_setpoint|torque_estimate|input_torque|vbus_voltage)"
+    rb"(?<![a-z_])"
+    rb"(?:pos_estimate|vel_estimate|iq_measured|iq_setpoint|torque_estimate|input_torque|vbus_voltage)"
     rb"(?![a-z_])",
     re.IGNORECASE,
 )
