@@ -26,6 +26,7 @@ from ..fit.model_error import (
     polish,
 )
 from ..fit.voltage_updates import is_timing
+from ..judge.chance import LongRunVariance
 from ..judge.criteria import SelectionCriteria
 from ..judge.effect import parameter_at_limit
 from ..judge.rival import (
@@ -109,13 +110,15 @@ def selected_first(best: Fit, trials: list[Fit]) -> list[Fit]:
 
 
 def close_rivals(
-    trials: list[Fit], current: Fit, data: Dataset, criteria: SelectionCriteria
+    trials: list[Fit], current: Fit, variance: Callable[[], LongRunVariance], criteria: SelectionCriteria
 ) -> tuple[AppliedEffect, ...]:
     """Return the rivals of a selected effect: effects of other trial fits that may be the cause in its place.
 
     Args:
         trials: Fits with one candidate effect each; the first has the selected effect.
         current: Fit without a candidate, with the same observer bandwidth (rad/s) as the trials.
+        variance: Function that returns the variance that the residual of the first trial has in the direction of its
+            effect (`long_run_variance`); it is called if a rival needs it, and once.
         criteria: Decision thresholds of `judge.rival.may_be_the_cause`.
 
     Returns:
@@ -123,7 +126,7 @@ def close_rivals(
     """
     best = trials[0]
     selected = best.machine.effects[-1].label
-    variance = cache(lambda: long_run_variance(best, selected, data))
+    variance = cache(variance)
     close: dict[str, AppliedEffect] = {}  # an effect may have been tried from several starting values
     for trial in trials[1:]:
         effect = trial.machine.effects[-1]

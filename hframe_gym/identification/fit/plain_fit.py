@@ -224,7 +224,7 @@ def _with_terms(
         if not goes_on():
             break
         trial = _fit_with_term(other, fits[-1], term, equal)
-        if trial.cost < fits[-1].cost and _is_present(trial, term.label) and not _ends_at_limit(trial, term):
+        if _adds_term(trial, fits[-1], term):
             fits.append(trial)
     candidates = {term.label for term in terms}
     known = {_labels(fitted, candidates): fitted for fitted in fits}
@@ -268,6 +268,11 @@ def _removal(
         return _Removal(known[others], 0.0, LongRunVariance(1.0))
     gain = known[others].cost - fitted.cost
     return _Removal(known[others], gain, long_run_variance(fitted, label, equal))
+
+
+def _adds_term(trial: Fit, without: Fit, term: AppliedEffect) -> bool:
+    """Return whether a fit with a term has a smaller error by this term, and not by what it only imitates."""
+    return trial.cost < without.cost and _is_present(trial, term.label) and not _ends_at_limit(trial, term)
 
 
 def _is_present(fitted: Fit, label: str) -> bool:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -53,6 +54,9 @@ _ERRS = (
     "log at the rate of the controller{}"
 )
 _SUFFICES = "they are so smooth that simulations err less by this than by the sensors' noise"
+
+# What instruments find with a number of changes a row, if anything; they may begin at what they found with another one.
+MeasuredExcess = Callable[[int, ExcessDelay | None], ExcessDelay | None]
 
 
 class VoltageUpdates(NamedTuple):
@@ -180,15 +184,36 @@ def _with_fewest_changes(delayed: Fit, data: Dataset, criteria: SelectionCriteri
     Args:
         delayed: Fit of a machine whose drives have a delay or lag, to these runs.
     """
+
+    def again(fitted: Fit, number: int, goal: float) -> Fit:
+        return continue_fit(fitted, data.with_updates(number), fitted.bandwidth, goal=goal)
+
     start = continue_fit(delayed, data, delayed.bandwidth)
-    most = most_updates(data)
+    return number_with_clear_gains(start, data.updates, most_updates(data), again, criteria)
+
+
+def number_with_clear_gains(
+    start: Fit, number: int, most: int, again: Callable[[Fit, int, float], Fit], criteria: SelectionCriteria
+) -> tuple[int, Fit]:
+    """Double a number of changes while that clearly reduces the error, or halve it if not even one doubling does.
+
+    Args:
+        start: Fit with the given number.
+        number: Number of changes a row, at least 2.
+        most: Largest number.
+        again: Function that continues a fit with another number, down to a cost (dimensionless) above which it is of no
+            use.
+        criteria: Decision thresholds of `required_gain`.
+
+    Returns:
+        The number at which this ends, and its fit.
+    """
+    present = number
     for factor in (2.0, 0.5):
-        number, best = data.updates, start
+        number, best = present, start
         while _FEWEST_UPDATES <= (other := round(factor * number)) <= most:
             enough = required_gain(best.error, criteria)
-            trial = continue_fit(
-                best, data.with_updates(other), best.bandwidth, goal=best.cost - enough * best.count
-            )
+            trial = again(best, other, best.cost - enough * best.count)
             if not is_enough(best.error, trial.error, enough):
                 break
             number, best = other, trial
@@ -258,28 +283,48 @@ def count_updates(fitted: Fit, data: Dataset, excess: ExcessDelay | None = None)
         The number, from 2 to `most_updates`, whose delay is closest to the one that instruments find; the first one if
         they find none.
     """
-    number, most = data.updates, most_updates(data)
-    if most <= 2:
-        return number
-    excess = excess or excess_delay(fitted, data)
+    most = most_updates(data)
+    if most <= _FEWEST_UPDATES:
+        return data.updates
+
+    def measured(number: int, start: ExcessDelay | None) -> ExcessDelay | None:
+        return excess_delay(fitted, data.with_updates(number), start)
+
+    return number_with_least_excess(data.updates, most, excess or excess_delay(fitted, data), measured)
+
+
+def number_with_least_excess(
+    number: int, most: int, excess: ExcessDelay | None, measured: MeasuredExcess
+) -> int:
+    """Count the changes of the voltages from one row to the next by how much later they act than a number says.
+
+    Args:
+        number: A first number of changes, at least 2.
+        most: Largest number.
+        excess: What instruments find with the first number, if they find anything.
+        measured: Function that returns what they find with another number.
+
+    Returns:
+        The number, from 2 to the largest one; the first one if instruments find nothing.
+    """
     while excess is not None:
         nearest = _number_with_delay(0.5 / number + excess.periods, _FEWEST_UPDATES, most)
         if nearest == number:
             break
         # Where effects are missing, the estimate depends on the number itself, and the one beside may be better.
         for trial in dict.fromkeys((nearest, number + (1 if nearest > number else -1))):
-            found = excess_delay(fitted, data.with_updates(trial), excess)
+            found = measured(trial, excess)
             if found is not None and abs(found.periods) < abs(excess.periods):
                 number, excess = trial, found
                 break
         else:
             if voltages_change_at_another_rate(excess.periods, excess.deviation):
-                number = _number_without_excess(fitted, data, number, excess)
+                number = _number_without_excess(number, most, excess, measured)
             break
     return number
 
 
-def _number_without_excess(fitted: Fit, data: Dataset, number: int, excess: ExcessDelay) -> int:
+def _number_without_excess(number: int, most: int, excess: ExcessDelay, measured: MeasuredExcess) -> int:
     """Return the number of changes a row at which instruments find neither a later nor an earlier action.
 
     By how much the voltages act later depends on the number itself, and is too small where errors of the voltages pass
@@ -288,15 +333,17 @@ def _number_without_excess(fitted: Fit, data: Dataset, number: int, excess: Exce
 
     Args:
         number: Number of changes that is clearly wrong.
+        most: Largest number.
         excess: What instruments find with it.
+        measured: Function that returns what they find with another one.
 
     Returns:
         The number with the least excess next to the change of sign; the given one if there is no such change.
     """
-    later, most = excess.periods > 0.0, most_updates(data)
+    later = excess.periods > 0.0
     beside, found = number, {number: abs(excess.periods)}
     while (other := max(beside // 2, 2) if later else min(2 * beside, most)) != beside:
-        estimate = excess_delay(fitted, data.with_updates(other))
+        estimate = measured(other, None)
         if estimate is None:
             return number
         found[other] = abs(estimate.periods)
@@ -307,7 +354,7 @@ def _number_without_excess(fitted: Fit, data: Dataset, number: int, excess: Exce
         return number
     while abs(other - beside) > 1:
         middle = (other + beside) // 2
-        estimate = excess_delay(fitted, data.with_updates(middle))
+        estimate = measured(middle, None)
         if estimate is None:
             break
         found[middle] = abs(estimate.periods)

@@ -434,17 +434,27 @@ def _all_free(machine: Machine, scales: TypicalScales) -> tuple[tuple[FreeParame
 def fit_with_effects(current: Fit, effects: Sequence[AppliedEffect], data: Dataset) -> Fit:
     """Add effects that were fitted before to a machine, and fit all until convergence.
 
-    With a structural effect, the fit starts from the declared parameters. Those that are not free with the effect, such
-    as the length of a belt that it divides, would keep the values that compensated for it.
-
     Args:
         current: Fit without the effects; the new one has the same observer bandwidth.
         effects: The effects with their starting values, those that others need first.
     """
-    structural = any(e.definition.structure for e in effects)
-    machine = (_as_declared(current) if structural else current.machine).with_effects(*effects)
+    machine = start_with_effects(current, effects)
     trial = _trial_fit(machine, *_all_free(machine, typical_scales(current, data)), current, data)
     return converge(trial, data, thorough=True)
+
+
+def start_with_effects(current: Fit, effects: Sequence[AppliedEffect]) -> Machine:
+    """Return the machine from which a fit with more effects starts.
+
+    With a structural effect, that has the declared parameters. Those that are not free with the effect, such as the
+    length of a belt that it divides, would keep the values that compensated for it.
+
+    Args:
+        current: Fit without the effects.
+        effects: The effects with their starting values, those that others need first.
+    """
+    structural = any(e.definition.structure for e in effects)
+    return (_as_declared(current) if structural else current.machine).with_effects(*effects)
 
 
 def _trial_fit(

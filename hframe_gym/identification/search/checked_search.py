@@ -139,16 +139,8 @@ def find_effects(
     found = search.without(held_names)
     may_repeat = budget.has_time(SECOND_SEARCH_PART)
     complete = not found.outcome.unfinished and may_repeat
-    others = _runs_to_exchange(found, log) if complete and may_exchange else []
-    if others:
-        exchanged = search.without(others)
-        if exchanged.outcome.contradiction in found.differing and not exchanged.differing:
-            found = exchanged  # the run that had been held out is the only one that disagrees
-        elif _explains_all_runs(exchanged) and _is_confirmed(exchanged.outcome, exchanged.held_out):
-            log("the runs that are held out now confirm these effects")
-            found = exchanged
-        else:
-            found = found._replace(hint=_hint(found, exchanged))
+    if complete and may_exchange:
+        found = exchanged_if_better(found, search.without, log)
     with budget.limiting(delivers=True):
         outcome = without_unconfirmed(found.outcome, found.agreeing, log)
     return found._replace(outcome=_with_input_timing(outcome, found.agreeing, criteria, log, budget))
@@ -423,6 +415,32 @@ def _contradicting_runs(outcome: SearchOutcome, held_out_runs: Dataset) -> tuple
     """Return the names of the held-out runs that contradict the machine which explains the fitted runs."""
     refined = refine_dataset(held_out_runs, outcome.after.machine, outcome.data)
     return contradicting_held_out_runs(outcome.after, outcome.before.machine, outcome.selected, refined)
+
+
+def exchanged_if_better(
+    found: CheckedOutcome, search_without: Callable[[Sequence[str]], CheckedOutcome], log: LineLog
+) -> CheckedOutcome:
+    """Search with other runs held out where the held-out runs contradict the fitted ones, and decide what holds.
+
+    Args:
+        found: Outcome of the first search.
+        search_without: Function that searches with some runs held out, given their names.
+        log: Called with a line of text for each decision.
+
+    Returns:
+        The outcome of the second search if its held-out runs confirm it; otherwise the first one, with a hint if the
+        second one explains all runs.
+    """
+    others = _runs_to_exchange(found, log)
+    if not others:
+        return found
+    exchanged = search_without(others)
+    if exchanged.outcome.contradiction in found.differing and not exchanged.differing:
+        return exchanged  # the run that had been held out is the only one that disagrees
+    if _explains_all_runs(exchanged) and _is_confirmed(exchanged.outcome, exchanged.held_out):
+        log("the runs that are held out now confirm these effects")
+        return exchanged
+    return found._replace(hint=_hint(found, exchanged))
 
 
 def _runs_to_exchange(found: CheckedOutcome, log: LineLog) -> list[str]:

@@ -236,8 +236,10 @@ class EffectSearch:
     def _extended(self, selected: tuple[SelectedEffect, ...], without: Fit, trials: list[Fit]) -> Selection:
         """Return the first trial fit, and the selected effects with its effect and the rivals among the others."""
         gain = without.cost - trials[0].cost
-        rivals = close_rivals(trials, without, self.data, self._criteria)
-        new = SelectedEffect(trials[0].machine.effects[-1], gain / self.data.count, without.machine, rivals)
+        effect = trials[0].machine.effects[-1]
+        variance = partial(long_run_variance, trials[0], effect.label, self.data)
+        rivals = close_rivals(trials, without, variance, self._criteria)
+        new = SelectedEffect(effect, gain / self.data.count, without.machine, rivals)
         return trials[0], (*selected, new)
 
     def _next_pair(self, current: Fit, selected: tuple[SelectedEffect, ...]) -> Selection | None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from functools import partial
+from functools import cache, partial
 
 from ...line_log import LineLog
 from ...preparation.dataset import Dataset
@@ -82,12 +82,13 @@ def with_input_timing(
     effect = best.machine.effects[-1]
     extended = polish(continue_fit(best, data, after.bandwidth), data)
     gain = (after.cost - extended.cost) / data.count
-    rivals = close_rivals(trials, current, data, criteria)
+    variance = cache(partial(long_run_variance, best, effect.label, data))
+    rivals = close_rivals(trials, current, variance, criteria)
     added = SelectedEffect(extended.machine.effects[-1], gain, after.machine, rivals)
     evidence = TimingEvidence(
         search=(after.cost, extended.cost),
         wide=(current.cost, best.cost),
-        variance=lambda: long_run_variance(best, effect.label, data),
+        variance=variance,
         confirmed=lambda: leave_one_out_gain(current, best, data),
         confirmed_accurate=partial(refitted_leave_one_out_gain, current, best, data),
         fault=lambda: plausibility_fault(best.machine),

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ...arrays import Array
 from ...line_log import LineLog
 from ...machine import Machine
 from ...preparation.dataset import Dataset, PreparedRecording
@@ -178,7 +179,7 @@ class HeldOutTest:
         data = self.complete_runs.with_runs(names)
         enlarged, motion = enlargement(model.machine, data, JUDGING_BANDWIDTH), None
         if is_unstable(enlarged, self.criteria):
-            motion = UnstableMotion(enlarged, largest(predictions_by_run(model, data, fitted)))
+            motion = UnstableMotion(enlarged, largest(self.predictions(model, fitted, names)))
         self._motions.append((model.machine, names, motion))
         return motion
 
@@ -210,6 +211,45 @@ class HeldOutTest:
         before = self.errors(outcome.before.machine, outcome.data, name)
         after = self.errors(corrected, outcome.data)
         return Evaluated(outcome, selected, declared, before, after, self)
+
+    def contradiction(self, evaluated: Evaluated, differing: Sequence[str]) -> str:
+        """Return why these runs contradict the verdict of a search, a clause; "" if they do not.
+
+        Args:
+            evaluated: Outcome of the search with its machines.
+            differing: Names of runs that contradict the fitted ones.
+        """
+        outcome = evaluated.outcome
+        if not outcome.selected and outcome.verdict != "no_effect":
+            return ""
+        evaluated = _with_ranges(evaluated)
+        evidence = _evidence(evaluated, differing)
+        if not outcome.selected:
+            return contradiction_of_no_effect(evidence, self.criteria)
+        reason = contradiction_of_names(evidence, outcome.explained, self.criteria)
+        if reason and outcome.explained and not evidence.voltages_known:
+            evidence = dataclasses.replace(evidence, reduction=_reduction(evaluated, differing))
+            reason = contradiction_of_names(evidence, outcome.explained, self.criteria)
+        elif reason and not outcome.explained:  # ranking the causes takes seconds
+            part = representative_part(outcome.data, outcome.before.machine)
+            causes = rank_dependences(outcome.before.machine, part)
+            named = agree_with_causes([s.effect for s in outcome.selected], causes, outcome.before.machine)
+            evidence = dataclasses.replace(evidence, causes_named=named)
+            if named:
+                evidence = _with_fast_error(evidence, evaluated, differing)
+            reason = contradiction_of_names(evidence, outcome.explained, self.criteria)
+        return reason
+
+    def predictions(self, model: ModelEvaluation, fitted: Dataset, names: Sequence[str] = ()) -> Array:
+        """Return the errors of predictions of a machine, see `predictions_by_run`.
+
+        Args:
+            model: Machine with its errors.
+            fitted: Runs that it was fitted to.
+            names: Names of the held-out runs that are predicted. Default: all.
+        """
+        runs = self.complete_runs
+        return predictions_by_run(model, runs.with_runs(names) if names else runs, fitted)
 
 
 class HeldOutTests:
@@ -284,42 +324,19 @@ def judged(evaluated: Evaluated, differing: Sequence[str], log: LineLog) -> Judg
         The outcome without effects that must not be named, with the reason if the held-out runs contradict, and the one
         with them.
     """
-    reason, outcome, withdrawn = _contradiction(evaluated, differing), evaluated.outcome, None
+    test = evaluated.test
+    reason, outcome, withdrawn = test.contradiction(evaluated, differing), evaluated.outcome, None
     if not reason:
         return Judged(evaluated)
     if outcome.selected:
         for s in outcome.selected:
             log(f"  {s.effect.label} is not named: {reason}")
         withdrawn = evaluated
-        evaluated = evaluated.test.evaluate(without_names(outcome, reason))
-        if evaluated.outcome.verdict == "no_effect" and not _contradiction(evaluated, differing):
+        evaluated = test.evaluate(without_names(outcome, reason))
+        if evaluated.outcome.verdict == "no_effect" and not test.contradiction(evaluated, differing):
             return Judged(evaluated, withdrawn)
     outcome = evaluated.outcome._replace(verdict="unexplained")
     return Judged(evaluated._replace(outcome=outcome, reason=reason), withdrawn)
-
-
-def _contradiction(evaluated: Evaluated, differing: Sequence[str]) -> str:
-    """Return why the held-out runs contradict the verdict of the search, a clause; "" if they do not."""
-    outcome, criteria = evaluated.outcome, evaluated.test.criteria
-    if not outcome.selected and outcome.verdict != "no_effect":
-        return ""
-    evaluated = _with_ranges(evaluated)
-    evidence = _evidence(evaluated, differing)
-    if outcome.selected:
-        reason = contradiction_of_names(evidence, outcome.explained, criteria)
-        if reason and outcome.explained and not evidence.voltages_known:
-            evidence = dataclasses.replace(evidence, reduction=_reduction(evaluated, differing))
-            reason = contradiction_of_names(evidence, outcome.explained, criteria)
-        elif reason and not outcome.explained:  # ranking the causes takes seconds
-            part = representative_part(outcome.data, outcome.before.machine)
-            causes = rank_dependences(outcome.before.machine, part)
-            named = agree_with_causes([s.effect for s in outcome.selected], causes, outcome.before.machine)
-            evidence = dataclasses.replace(evidence, causes_named=named)
-            if named:
-                evidence = _with_fast_error(evidence, evaluated, differing)
-            reason = contradiction_of_names(evidence, outcome.explained, criteria)
-        return reason
-    return contradiction_of_no_effect(evidence, criteria)
 
 
 def describe_unstable_motion(evaluated: Evaluated) -> str:

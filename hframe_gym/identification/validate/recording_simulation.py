@@ -161,10 +161,18 @@ def _cleaned(
     logged = np.isin(filled.time_s, usable.time_s)  # `fill_gaps` keeps recorded times exactly
     if filled is usable or not np.isfinite(usable.outputs).any():
         return filled, logged
-    _, _, noise = rest_and_noise(filled, machine)
-    data = prepare(without_saturated([usable], machine, noise, criteria)[0], machine)
+    data = prepare([_unsaturated(usable, filled, machine, criteria)], machine)
     (run,) = estimate_lost_voltages(data.with_updates(updates), machine).runs
     return dataclasses.replace(filled, inputs=run.inputs), logged
+
+
+def _unsaturated(
+    usable: Recording, filled: Recording, machine: Machine, criteria: SelectionCriteria
+) -> Recording:
+    """Return a recording without saturated measurements, by the noise that it has once its gaps are filled."""
+    _, _, noise = rest_and_noise(filled, machine)
+    ((unsaturated,), _) = without_saturated([usable], machine, noise, criteria)
+    return unsaturated
 
 
 def _updated(machine: Machine, recording: Recording, updates: int) -> tuple[Array, Array]:

@@ -8,7 +8,7 @@ fit.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -34,7 +34,6 @@ from ..predict.prediction import SIMULATION
 from ..search.forward_selection import EffectSearch
 from ..search.outcome import VoltagesChangeError, without_names
 from .evaluation import Evaluated, HeldOutTest, HeldOutTests, Judged, with_certain_effects
-from .held_out_predictions import predictions_by_run
 from .machine_errors import ModelEvaluation, error_ratio
 
 _MAX_EFFECTS = 2  # Each further one takes longer and removes less.
@@ -155,7 +154,7 @@ def no_worse(
     result, delivered, sentence = None, evaluated, ""
     if plain is not None:
         result, delivered, sentence = _compared(judgment, plain, log, budget)
-    elif (described := _described(judgment, evaluated.before, None, log, budget)) is not None:
+    elif (described := best_description(judgment, evaluated.before, (), log)) is not None:
         delivered, sentence = described
     if _is_worse(delivered.after, evaluated.declared, delivered.test, delivered.outcome.data):
         sentence = _DECLARED_DELIVERED.format(error_ratio(delivered.after, evaluated.declared))
@@ -190,18 +189,17 @@ def _compared(
     """Return the plain fit with its errors, the outcome that is delivered, and what replaced the search's machine."""
     evaluated = judgment.evaluated
     outcome, test = evaluated.outcome, evaluated.test
-    start = start_of_description(plain, evaluated)
+    has_belts = bool(test.session.machine.belts)
+    further = () if has_belts else _further_descriptions(plain, evaluated, log, budget)
     plain, reference = confirmed(plain, evaluated)
     result = PlainResult(reference, plain.terms)
     log(f"plain fit: {reference.held_out.noise_ratio:.4g} times the noise on the held-out runs")
-    if not test.session.machine.belts:
+    if not has_belts:
         budget.reserve(
             test.seconds() * (1.0 + _runs_to_report(test, outcome.data))
         )  # a description, the report
     base = reference if _is_worse(evaluated.before, reference, test, outcome.data) else evaluated.before
-    searched_from = None if test.session.machine.belts else start.simulated
-    described = _described(judgment, base, searched_from, log, budget)
-    if described is not None:
+    if (described := best_description(judgment, base, further, log)) is not None:
         return result, *described
     ratio = error_ratio(evaluated.after, reference)
     if ratio > 1.0 and test.explains_unstable_motion(evaluated.after, outcome.data):
@@ -303,21 +301,27 @@ def _declared(evaluated: Evaluated) -> Fit:
     return Fit(machine, (), np.zeros(0), cost, data.count, SIMULATION, np.zeros((0, 0)))
 
 
-class _Description(NamedTuple):
+class Description(NamedTuple):
     """Outcome without names whose machine describes what is left, and a sentence about it."""
 
     evaluated: Evaluated
     sentence: str
 
 
-def _described(
-    judgment: Judged, base: ModelEvaluation, plain: Fit | None, log: LineLog, budget: Budget
-) -> _Description | None:
+def best_description(
+    judgment: Judged, base: ModelEvaluation, further: Iterable[tuple[Fit, tuple[str, ...]]], log: LineLog
+) -> Description | None:
     """Return the description of what is left that predicts the held-out runs best.
 
-    None if effects are named, only noise is left, or the held-out runs are predicted no better than by `base`, the
-    machine without a description. Effects whose names were withdrawn come first. If they leave more than noise, others
-    are searched for beside a plain fit, or the refitted machine if it is better in the fitted runs.
+    Args:
+        judgment: Outcome of a search with its machines. Effects whose names were withdrawn are the first description.
+        base: Machine without a description.
+        further: Fits with effects, and their labels. They are asked for if the first description leaves more than
+            noise, so that a generator searches for them only then.
+        log: Called with a line of text for each description.
+
+    Returns:
+        The best one; None if effects are named, only noise is left, or `base` predicts the held-out runs as well.
     """
     evaluated, withdrawn = judgment
     outcome, test = evaluated.outcome, evaluated.test
@@ -332,26 +336,50 @@ def _described(
     if withdrawn is not None:
         labels = tuple(s.effect.label for s in withdrawn.outcome.selected)
         best = _better_description(best, withdrawn.outcome.after, labels, evaluated, base, log)
-    if plain is None or (best is not None and not needed(best.evaluated.after)):
+    if best is not None and not needed(best.evaluated.after):
         return best
-    with budget.limiting(LAST_STAGE_END, delivers=True):
-        refit = refined_equally(outcome.before, outcome.data)
-    equal = equally_weighted(outcome.data)
-    start = min((plain, refit), key=lambda fitted: prediction_cost(fitted.machine, equal, SIMULATION))
-    part = representative_part(outcome.data, start.machine)
-    for fitted, labels in descriptions(start, part, test.criteria, log, budget):
+    for fitted, labels in further:
         best = _better_description(best, fitted, labels, evaluated, base, log)
     return best
 
 
+def _further_descriptions(
+    plain: PlainFit, evaluated: Evaluated, log: LineLog, budget: Budget
+) -> Iterator[tuple[Fit, tuple[str, ...]]]:
+    """Search for effects that describe what is left beside inertia and friction."""
+    start = fit_to_describe(plain, evaluated, budget)
+    part = representative_part(evaluated.outcome.data, start.machine)
+    yield from descriptions(start, part, evaluated.test.criteria, log, budget)
+
+
+def fit_to_describe(plain: PlainFit, evaluated: Evaluated, budget: Budget) -> Fit:
+    """Return the fit beside which a description is searched for.
+
+    Args:
+        plain: Plain fit to the fitted runs.
+        evaluated: Outcome of a search, with the tests on the held-out runs.
+        budget: Budget of the identification, in which the refitted machine is fitted in simulation.
+
+    Returns:
+        The plain fit (`start_of_description`), or the refitted machine if it is better in the fitted runs.
+    """
+    outcome, terms = evaluated.outcome, start_of_description(plain, evaluated)
+    with budget.limiting(LAST_STAGE_END, delivers=True):
+        refit = refined_equally(outcome.before, outcome.data)
+    equal = equally_weighted(outcome.data)
+    return min(
+        (terms.simulated, refit), key=lambda fitted: prediction_cost(fitted.machine, equal, SIMULATION)
+    )
+
+
 def _better_description(
-    best: _Description | None,
+    best: Description | None,
     fitted: Fit,
     labels: Sequence[str],
     evaluated: Evaluated,
     base: ModelEvaluation,
     log: LineLog,
-) -> _Description | None:
+) -> Description | None:
     """Return a machine with effects as a description if it is clearly better than the best one, or else that one."""
     again = evaluated.test.evaluate(evaluated.outcome._replace(after=fitted))
     ratio, without_it = error_ratio(again.after, base), best.evaluated.after if best else base
@@ -362,7 +390,7 @@ def _better_description(
     if not helps:
         return best
     lacking, without = again.after.held_out.lacking, evaluated.before.held_out.lacking
-    return _Description(again, description_sentence(labels, ratio, lacking, without))
+    return Description(again, description_sentence(labels, ratio, lacking, without))
 
 
 def _predicted_ratio(
@@ -372,7 +400,7 @@ def _predicted_ratio(
     test, fitted = evaluated.test, evaluated.outcome.data
     if test.unstable_motion(reference, fitted) is None:
         return None
-    errors, others = (predictions_by_run(m, test.complete_runs, fitted) for m in (model, reference))
+    errors, others = (test.predictions(m, fitted) for m in (model, reference))
     return float(np.nanmean(errors) / np.nanmean(others))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -14,7 +15,7 @@ from hframe_gym.identification.evidence import rivals
 from hframe_gym.identification.fit.model_error import likelihood_loss
 from hframe_gym.identification.judge.chance import LongRunVariance
 from hframe_gym.identification.predict.prediction import POLISH_STEP
-from tests.identification.scripted_fits import AXIS, CRITERIA, DATA, DRAG, HFRAME, PUSH, SPRING, fit_with
+from tests.identification.scripted_fits import AXIS, CRITERIA, DRAG, HFRAME, PUSH, SPRING, fit_with
 from tests.identification.single_axis import axis_runs
 
 VOLTAGE_OFFSET = EFFECTS["voltage_offset"]
@@ -41,15 +42,14 @@ def test_an_effect_at_the_limit_of_its_range_is_tried_after_others_that_explain_
     assert rivals.limited_last([limited], current) == [limited]
 
 
-def test_rivals_are_other_effects_within_the_margin(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rivals_are_other_effects_within_the_margin() -> None:
     current, best = fit_with(chi2=2.0), fit_with(PUSH, chi2=1.0)
     close, same, far = fit_with(DRAG, chi2=1.029), fit_with(PUSH, chi2=1.001), fit_with(SPRING, chi2=1.031)
     trials = [best, same, close, close, far]
     # 300 of the cost of 10,000 are 3 % of the gain; chance causes differences of 24 times the ratio.
     for ratio, expected in ((1.0, (DRAG,)), (20.0, (DRAG, SPRING))):
-        variance = LongRunVariance(ratio)
-        monkeypatch.setattr(rivals, "long_run_variance", lambda *_, variance=variance: variance)
-        assert rivals.close_rivals(trials, current, DATA, CRITERIA) == expected
+        variance = partial(LongRunVariance, ratio)
+        assert rivals.close_rivals(trials, current, variance, CRITERIA) == expected
 
 
 @pytest.mark.parametrize(

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
-from hframe_gym.identification import prepare
+from hframe_gym.identification import default_free_parameters, fit, prepare
 from hframe_gym.identification.evidence import significance
 from hframe_gym.identification.evidence.significance import (
     TestedFit,
@@ -18,10 +17,11 @@ from hframe_gym.identification.evidence.significance import (
     doubt_beside_others,
     effect_evidence,
 )
-from hframe_gym.identification.fit.estimation import Fit
+from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH
 from hframe_gym.machine import AppliedEffect
 from hframe_gym.recordings import Recording
 from tests.identification.scripted_fits import (
+    AXIS,
     CLOCK,
     CRITERIA,
     DATA,
@@ -30,6 +30,7 @@ from tests.identification.scripted_fits import (
     Scripted,
     fit_with,
 )
+from tests.identification.single_axis import axis_runs
 
 
 @pytest.mark.parametrize(
@@ -59,32 +60,28 @@ def test_no_effect_corrects_a_clock(scripted: Scripted) -> None:
     assert doubt_beside_others(fit_with(CLOCK, chi2=1.3), TestedFit(both, DATA), heat, CRITERIA) == ""
 
 
-def test_what_candidates_have_in_common_is_measured_once(
-    scripted: Scripted, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """All are compared with the machine without them: by its narrower observer, and beside unknown voltages."""
-    measured: list[tuple[str, Fit]] = []
+def test_a_fit_has_its_other_observers_and_voltages_once() -> None:
+    data = axis_runs(AXIS, rows=200, volts=3.0).with_updates(4)
+    alone = TestedFit(fit(AXIS, default_free_parameters(AXIS), data, SEARCH_BANDWIDTH, iterations=1), data)
+    assert alone.narrower.bandwidth < SEARCH_BANDWIDTH
+    assert alone.narrower is alone.narrower
+    assert alone.cost_beside_voltages < alone.fitted.cost
+    assert alone.cost_beside_voltages is alone.cost_beside_voltages  # the same object, not an equal number
 
-    def narrower(fitted: Fit, data: Any) -> Fit:
-        measured.append(("narrower", fitted))
-        return fitted
 
-    def beside_voltages(fitted: Fit, data: Any) -> float:
-        measured.append(("voltages", fitted))
-        return fitted.cost
-
-    monkeypatch.setattr(significance, "narrower_observer", narrower)
-    monkeypatch.setattr(significance, "cost_beside_voltages", beside_voltages)
+def test_candidates_are_compared_with_what_is_known_of_the_machine_without_them(scripted: Scripted) -> None:
+    """All have it in common: the fit with the narrower observer, and what is left beside unknown voltages."""
     data = SimpleNamespace(**vars(DATA) | {"updates": 4})
     alone = TestedFit(fit_with(chi2=1.3, bandwidth=60.0), data)
+    alone.narrower, alone.cost_beside_voltages = fit_with(chi2=1.7, bandwidth=30.0), 900.0
     for chi2 in (1.1, 1.2):
-        candidate = fit_with(PUSH, chi2=chi2, bandwidth=60.0)
-        evidence = effect_evidence(alone, TestedFit(candidate, data), PUSH)
+        candidate = TestedFit(fit_with(PUSH, chi2=chi2, bandwidth=60.0), data)
+        candidate.narrower, candidate.cost_beside_voltages = fit_with(PUSH, chi2=chi2 + 0.2), 500.0
+        evidence = effect_evidence(alone, candidate, PUSH)
         assert evidence.beside_voltages is not None
-        assert evidence.beside_voltages() == alone.fitted.cost - candidate.cost
+        assert evidence.beside_voltages() == 400.0
         assert evidence.chance_narrower is not None
-        assert evidence.chance_narrower().gain == alone.fitted.cost - candidate.cost
-    assert [kind for kind, fitted in measured if fitted is alone.fitted] == ["voltages", "narrower"]
+        assert evidence.chance_narrower().gain == alone.narrower.cost - candidate.narrower.cost
 
 
 SKEW = EFFECTS["sensor_skew"].at("x_m", a=2e-3)

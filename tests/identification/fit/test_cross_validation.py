@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -46,24 +44,19 @@ def test_true_fits_confirm_what_the_linear_model_does_where_it_holds(axis: Machi
     np.testing.assert_allclose(refitted, linear, rtol=0.15)
 
 
-def test_runs_are_left_out_until_the_others_cannot_confirm_an_effect(
-    axis: Machine, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_runs_are_left_out_until_the_others_cannot_confirm_an_effect(axis: Machine) -> None:
     """Only the second run has a force; without it, the others find none, and the second one has all of its error."""
     data = recordings(axis, forces=(0.0, 0.3, 0.0, 0.0))
     without, with_effect = fitted_axis(axis, data), fitted_axis(axis, data, constant_force=True)
-    left_out: list[str] = []
-
-    def refitted_cost(*arguments: Any) -> float:
-        left_out.append(arguments[-1].runs[0].name)
-        return original(*arguments)
-
-    original = cross_validation._refitted_cost
-    monkeypatch.setattr(cross_validation, "_refitted_cost", refitted_cost)
-    least = 0.3 * (without.cost - with_effect.cost)
-    limit = refitted_leave_one_out_gain(without, with_effect, data, least)
-    assert left_out == [data.runs[1].name]
-    assert refitted_leave_one_out_gain(without, with_effect, data) <= limit < least
+    gain = without.cost - with_effect.cost
+    limit = refitted_leave_one_out_gain(without, with_effect, data, 0.3 * gain)
+    # The second run alone is left out, the others have the cost of the fit.
+    others, second = data.leaving_out(1, 1)
+    tested = np.array([f.name.startswith("constant_force") for f in with_effect.free])
+    left_out = cross_validation._refitted_cost(with_effect, tested, data, others, second)
+    fitted = prediction_cost(with_effect.machine, second, with_effect.bandwidth)
+    assert limit == pytest.approx(gain + fitted - left_out, rel=1e-6)
+    assert refitted_leave_one_out_gain(without, with_effect, data) < limit < 0.3 * gain
 
 
 @pytest.mark.parametrize("names", ["abcde", "ab"])

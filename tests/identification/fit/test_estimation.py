@@ -4,23 +4,23 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy.optimize import OptimizeResult, lsq_linear
 
-from hframe_gym.arrays import Array
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset, default_free_parameters, fit, prepare
+from hframe_gym.identification.budget import Budget
 from hframe_gym.identification.fit import estimation
 from hframe_gym.identification.fit.estimation import Fit, prediction_cost
 from hframe_gym.identification.fit.model_error import polish
 from hframe_gym.identification.predict import free_parameters
 from hframe_gym.identification.predict.free_parameters import FreeParameter, bounded_step, prior_precision
-from hframe_gym.identification.predict.linearization import Linearization, ResidualModel
+from hframe_gym.identification.predict.linearization import ResidualModel
 from hframe_gym.identification.predict.prediction import POLISH_STEP, SEARCH_BANDWIDTH, SIMULATION
 from hframe_gym.machine import BUILTIN_MACHINES, Machine
 from hframe_gym.recordings import Recording
@@ -57,31 +57,27 @@ def test_fit_reports_the_cost_of_its_machine(hframe: Machine, data: Dataset) -> 
     assert fitted.chi2 == fitted.cost / two_runs.count
 
 
-def test_a_fit_that_cannot_come_down_to_its_goal_ends_early(
-    hframe: Machine, data: Dataset, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_fit_that_cannot_come_down_to_its_goal_ends_early(hframe: Machine, data: Dataset) -> None:
     """One that may reach it is the same as without a goal."""
     run = data.with_runs([data.runs[0].name])
     without_drives = hframe.replace({f"motor{j}.Kt": 1e-3 * hframe.drives[j - 1].Kt for j in (1, 2)})
     free = default_free_parameters(without_drives)
-    complete, steps = _counted(monkeypatch, fit, without_drives, free, run, SEARCH_BANDWIDTH)
+    complete, steps = _counted(without_drives, free, run, SEARCH_BANDWIDTH)
     assert steps > 3
-    vain = _counted(monkeypatch, fit, without_drives, free, run, SEARCH_BANDWIDTH, goal=0.01 * complete.cost)
+    vain = _counted(without_drives, free, run, SEARCH_BANDWIDTH, goal=0.01 * complete.cost)
     assert vain[1] < steps
     assert vain[0].cost > 0.01 * complete.cost
     reached = fit(without_drives, free, run, SEARCH_BANDWIDTH, goal=1.01 * complete.cost)
     assert reached.cost == complete.cost
 
 
-def test_a_step_that_keeps_its_promise_is_the_last_one(
-    hframe: Machine, data: Dataset, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_step_that_keeps_its_promise_is_the_last_one(hframe: Machine, data: Dataset) -> None:
     """Near the minimum, the linear model is exact, and no second linearization has to confirm that."""
     run = data.with_runs([data.runs[0].name])
     free = default_free_parameters(hframe)
     fitted = fit(hframe, free, run, SEARCH_BANDWIDTH)
     near = fitted.theta + 1e-3
-    again, steps = _counted(monkeypatch, fit, hframe, free, run, SEARCH_BANDWIDTH, theta=near)
+    again, steps = _counted(hframe, free, run, SEARCH_BANDWIDTH, theta=near)
     assert steps == 1
     assert again.cost == pytest.approx(fitted.cost, rel=1e-4)
 
@@ -117,19 +113,12 @@ def test_a_fit_may_come_down_to_what_was_promised_or_by_steps_like_the_last_one(
     assert estimation._lowest_cost(5920.0, 5900.0, promised, remaining) == lowest
 
 
-def _counted(
-    monkeypatch: pytest.MonkeyPatch, function: Callable[..., Fit], *arguments: Any, **options: Any
-) -> tuple[Fit, int]:
-    """Return the fit by a function, and the number of linearizations that it took."""
-    linearize, calls = ResidualModel.linearize, []
-
-    def counting(self: ResidualModel, theta: Array) -> Linearization:
-        calls.append(theta)
-        return linearize(self, theta)
-
-    with monkeypatch.context() as patched:
-        patched.setattr(ResidualModel, "linearize", counting)
-        return function(*arguments, **options), len(calls)
+def _counted(*arguments: Any, **options: Any) -> tuple[Fit, int]:
+    """Return a fit, and the number of its iterations, before each of which it asks the budget."""
+    steps: list[str] = []
+    budget = Budget(progress=lambda doing, spent, seconds: steps.append(doing))
+    with budget.limiting():
+        return fit(*arguments, **options), len(steps)
 
 
 def test_a_tight_prior_keeps_the_declared_parameters(hframe: Machine, data: Dataset) -> None:

@@ -109,10 +109,9 @@ def test_the_report_lists_table_and_formulas(folder: Path, comparison: TableComp
     assert comparison.formulas[0].effect.text in build_report(folder).read_text()
 
 
-def run(monkeypatch: pytest.MonkeyPatch, *words: object) -> None:
+def run(*words: object) -> None:
     """Run the command in this process."""
-    monkeypatch.setattr(sys, "argv", ["hframe", *map(str, words)])
-    cli.app(standalone_mode=False)
+    cli.app([*map(str, words)], standalone_mode=False)
 
 
 def test_a_written_effect_is_used_by_the_commands(
@@ -123,7 +122,7 @@ def test_a_written_effect_is_used_by_the_commands(
     comparison: TableComparison,
 ) -> None:
     path = folder / "rail_catch.py"
-    run(monkeypatch, "effects", "new", "rail_catch", "--from", folder, "--out", path)
+    run("effects", "new", "rail_catch", "--from", folder, "--out", path)
     printed = capsys.readouterr().out
     assert "magnetic catch" in printed
     assert "(recommended)" in printed

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -17,7 +18,6 @@ from hframe_gym.identification import (
     fit,
     prepare,
 )
-from hframe_gym.identification.budget import Budget
 from hframe_gym.identification.evidence.held_out import (
     contradicting_held_out_runs,
     held_out_gain,
@@ -25,10 +25,10 @@ from hframe_gym.identification.evidence.held_out import (
 )
 from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH, SIMULATION
 from hframe_gym.identification.propose.trial_fits import without_effect
-from hframe_gym.identification.search import checked_search
 from hframe_gym.identification.search.checked_search import (
     CheckedOutcome,
     _contradicting_runs,
+    exchanged_if_better,
     without_unconfirmed,
 )
 from hframe_gym.identification.search.outcome import SearchOutcome
@@ -188,7 +188,7 @@ def test_of_two_refuted_effects_the_one_that_requires_the_other_is_removed_first
 
 @pytest.mark.parametrize(("present", "named"), [(True, True), (False, False)])
 def test_the_run_that_is_held_out_in_exchange_confirms_an_effect(
-    axis: Machine, monkeypatch: pytest.MonkeyPatch, present: bool, named: bool
+    axis: Machine, present: bool, named: bool
 ) -> None:
     """All other runs are fitted then; without the force in this run, another run must confirm it."""
     pushed = axis.with_effects(EFFECTS["constant_force"].at("x", size=0.3))
@@ -196,17 +196,13 @@ def test_the_run_that_is_held_out_in_exchange_confirms_an_effect(
     run = prepare([recorded(pushed if present else axis, 1)], axis)
     before, outcome = outcome_with_force(axis, data, 0.3, True)
     first = SearchOutcome(before, True, True, "no_effect", before, (), (), data)
-    searches = [CheckedOutcome(first, run, ("run_1",)), CheckedOutcome(outcome, run, ())]
-    monkeypatch.setattr(checked_search._RunSearch, "without", lambda *arguments: searches.pop(0))
-    found = checked_search.find_effects(
-        axis,
-        data,
-        ["run_1"],
-        may_exchange=True,
-        criteria=SelectionCriteria(),
-        log=lambda line: None,
-        budget=Budget(),
-        before_search=lambda *arguments: None,
-    )
+    held_out: list[str] = []
+
+    def search_without(names: Sequence[str]) -> CheckedOutcome:
+        held_out.extend(names)
+        return CheckedOutcome(outcome, run, ())
+
+    found = exchanged_if_better(CheckedOutcome(first, run, ("run_1",)), search_without, lambda line: None)
+    assert held_out == ["run_0"]
     assert [s.effect.label for s in found.outcome.selected] == (["constant_force@x"] if named else [])
     assert bool(found.hint) != named

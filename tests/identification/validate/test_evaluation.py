@@ -23,7 +23,6 @@ from hframe_gym.identification.judge.verdict import (
 )
 from hframe_gym.identification.propose.dependences import Dependence, agree_with_causes
 from hframe_gym.identification.search.outcome import SearchOutcome
-from hframe_gym.identification.validate import evaluation
 from hframe_gym.identification.validate.evaluation import Evaluated, _with_fast_error, judged
 from hframe_gym.machine import AppliedEffect, Machine
 from hframe_gym.recordings import Recording
@@ -224,7 +223,7 @@ def test_right_effects_remove_the_square_of_what_they_change(
     ],
 )
 def test_without_its_names_the_refitted_machine_is_judged(
-    refitted_explains: bool, contradicted: bool, verdict: str, monkeypatch: pytest.MonkeyPatch
+    refitted_explains: bool, contradicted: bool, verdict: str
 ) -> None:
     """The reasons against the names say nothing about a machine without effects."""
     axis: Any = SimpleNamespace(machine=AXIS)
@@ -232,15 +231,14 @@ def test_without_its_names_the_refitted_machine_is_judged(
     nothing: Any = None
     outcome = SearchOutcome(axis, refitted_explains, True, "effect_found", axis, (force,), (), nothing)
 
-    def contradiction(evaluated: Evaluated, differing: Sequence[str]) -> str:
-        return "too much remains" if evaluated.outcome.selected or contradicted else ""
-
     class HeldOutRuns:
+        def contradiction(self, evaluated: Evaluated, differing: Sequence[str]) -> str:
+            return "too much remains" if evaluated.outcome.selected or contradicted else ""
+
         def evaluate(self, outcome: SearchOutcome) -> Evaluated:
             test: Any = self
             return Evaluated(outcome, outcome.selected, nothing, nothing, nothing, test)
 
-    monkeypatch.setattr(evaluation, "_contradiction", contradiction)
     found, withdrawn = judged(HeldOutRuns().evaluate(outcome), (), lambda line: None)
     assert (found.outcome.verdict, found.selected) == (verdict, ())
     assert found.reason == ("" if verdict == "no_effect" else "too much remains")

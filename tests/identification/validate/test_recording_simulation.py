@@ -11,7 +11,6 @@ import pytest
 from hframe_gym.dynamics import simulate
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import (
-    Dataset,
     SelectionCriteria,
     estimate_initial_state,
     initial_state_of_recording,
@@ -19,6 +18,7 @@ from hframe_gym.identification import (
     simulate_recording,
 )
 from hframe_gym.identification.fit.channel_errors import ChannelError
+from hframe_gym.identification.fit.lost_voltages import estimate_lost_voltages
 from hframe_gym.identification.validate import recording_simulation
 from hframe_gym.identification.validate.machine_errors import (
     ModelEvaluation,
@@ -135,31 +135,32 @@ def test_dropped_samples_and_outliers_do_not_count(hframe: Machine, session: lis
     np.testing.assert_allclose(simulation.outputs, simulate_recording(hframe, run).outputs[kept], atol=2e-4)
 
 
-def test_a_recording_with_gaps_is_prepared_once(
-    hframe: Machine, session: list[Recording], monkeypatch: pytest.MonkeyPatch
+def test_saturated_measurements_of_a_recording_with_gaps_determine_no_voltages(
+    hframe: Machine, session: list[Recording]
 ) -> None:
     """The noise by which saturated measurements are recognized is that of the prepared recording."""
-    run, limits, prepared = session[1], (-0.05, 0.065), []
+    run, limits = session[1], (-0.05, 0.065)
     run.outputs[:, 2] = np.clip(run.outputs[:, 2], *limits)
     machine = hframe.with_effects(EFFECTS["sensor_range"].at("x_m", low=limits[0], high=limits[1]))
     kept = np.ones(len(run.time_s), np.bool_)
-    kept[[250, 300, 301]] = False
+    kept[[250, *range(396, 406)]] = False  # the voltage changes in the second gap
     damaged = Recording(run.name, run.time_s[kept], run.inputs[kept], run.outputs[kept])
-
-    def counted(recordings: list[Recording], machine: Machine) -> Dataset:
-        prepared.append(recordings)
-        return prepare(recordings, machine)
-
-    monkeypatch.setattr(recording_simulation, "prepare", counted)
-    initial_state_of_recording(machine, damaged)
-    [[unsaturated]] = prepared
+    filled, criteria = fill_gaps(damaged), SelectionCriteria()
+    unsaturated = recording_simulation._unsaturated(damaged, filled, machine, criteria)
     noise = prepare([damaged], machine).noise
-    np.testing.assert_array_equal(rest_and_noise(fill_gaps(damaged), machine)[2], noise)
+    np.testing.assert_array_equal(rest_and_noise(filled, machine)[2], noise)
     distance = np.abs(damaged.outputs[:, 2, None] - limits).min(axis=1) / noise[2]
     saturated = distance < 4
     expected = saturated | (np.convolve(saturated, [1, 0, 1], "same") > 0) & (distance < 8)
     assert 0 < expected.sum() < len(expected)
     np.testing.assert_array_equal(np.isnan(unsaturated.outputs[:, 2]), expected)
+    cleaned = recording_simulation._cleaned(damaged, machine, criteria)[0].inputs
+    without, with_saturated = (
+        estimate_lost_voltages(prepare([run], machine), machine).runs[0].inputs
+        for run in (unsaturated, damaged)
+    )
+    np.testing.assert_array_equal(cleaned, without)
+    assert not np.array_equal(cleaned, with_saturated)
 
 
 def test_a_written_machine_has_the_errors_that_the_report_states(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -19,16 +19,19 @@ from hframe_gym.identification.fit.estimation import Fit
 from hframe_gym.identification.fit.plain_fit import PlainFit
 from hframe_gym.identification.predict.prediction import SIMULATION
 from hframe_gym.identification.search.outcome import SearchOutcome, without_names
-from hframe_gym.identification.validate import simpler_machines
 from hframe_gym.identification.validate.evaluation import Evaluated, Judged
 from hframe_gym.identification.validate.machine_errors import ModelEvaluation, PredictionErrors
-from hframe_gym.identification.validate.simpler_machines import no_worse
+from hframe_gym.identification.validate.simpler_machines import (
+    best_description,
+    fit_to_describe,
+    no_worse,
+)
 from hframe_gym.machine import BUILTIN_MACHINES, AppliedEffect, Machine
-from tests.identification.single_axis import AXIS
+from tests.identification.single_axis import AXIS, axis_runs
 
 STAGE = BUILTIN_MACHINES["hframe"]()
 FORCE, SPRING = EFFECTS["constant_force"].at("x", size=1.0), EFFECTS["cable_spring"].at("x", k=10.0, q0=0.0)
-DATA: Any = None
+DATA = axis_runs(AXIS, rows=300, volts=6.0)
 
 
 def fit_of(machine: Machine) -> Fit:
@@ -51,6 +54,9 @@ class HeldOutRuns:
 
     def unstable_motion(self, model: ModelEvaluation, fitted: object) -> Any:
         return self.predicted or None
+
+    def predictions(self, model: ModelEvaluation, fitted: object) -> Any:
+        return np.array([[self.predicted[tuple(e.label for e in model.machine.effects)]]])
 
     @property
     def session(self) -> Any:
@@ -121,16 +127,11 @@ def test_the_refitted_machine_is_delivered_where_no_description_is_of_use(
 
 @pytest.mark.parametrize(("with_spring", "described"), [(440.0, False), (0.8, True)])
 def test_along_an_unstable_motion_a_description_must_predict_better_too(
-    with_spring: float, described: bool, monkeypatch: pytest.MonkeyPatch
+    with_spring: float, described: bool
 ) -> None:
     judgment = withdrawn_names(STAGE, {(): 165.0, ("cable_spring@x",): 15.0}, "unexplained")
     runs: Any = judgment.evaluated.test
     runs.predicted = {(): 1.0, ("cable_spring@x",): with_spring}
-
-    def predictions(model: ModelEvaluation, *_: object) -> Any:
-        return np.array([[runs.predicted[tuple(e.label for e in model.machine.effects)]]])
-
-    monkeypatch.setattr(simpler_machines, "predictions_by_run", predictions)
     delivered = no_worse(judgment, None, lambda line: None, Budget())
     assert bool(delivered.evaluated.after.machine.effects) == described
 
@@ -138,60 +139,67 @@ def test_along_an_unstable_motion_a_description_must_predict_better_too(
 FORCE_LABEL, SPRING_LABEL, DRAG_LABEL = "constant_force@x", "cable_spring@x", "quadratic_drag@x"
 
 
+def plain_with_uncertain_force() -> PlainFit:
+    """Return a plain fit whose runs show no term, beside one with a constant force that other runs may confirm."""
+    machine = AXIS.replace(effects=())
+    return PlainFit(machine, (fit_of(machine),), (fit_of(machine.with_effects(FORCE)),))
+
+
 @pytest.mark.parametrize(
-    ("force", "with_drag", "with_spring", "starts", "described"),
+    ("truth", "force", "expected"),
     [
-        (1000.0, 400.0, 600.0, [[FORCE_LABEL]], [FORCE_LABEL, DRAG_LABEL]),
-        (2900.0, 400.0, 600.0, [[]], [DRAG_LABEL]),  # the force hardly helps, and might be in the way
-        (
-            1000.0,
-            580.0,
-            600.0,
-            [[FORCE_LABEL]],
-            [SPRING_LABEL],
-        ),  # the effect whose name was withdrawn is as good
-        (1000.0, 0.9, 1.5, [], [SPRING_LABEL]),  # and leaves only noise
+        (AXIS.with_effects(FORCE), 1000.0, (FORCE,)),
+        (AXIS.with_effects(FORCE), 2900.0, ()),  # it hardly helps, and might be in the way
+        (AXIS, 1000.0, ()),  # the refitted machine is better in the fitted runs
     ],
 )
 def test_a_description_begins_with_the_terms_that_the_held_out_runs_clearly_confirm(
-    force: float,
-    with_drag: float,
-    with_spring: float,
-    starts: list[list[str]],
-    described: list[str],
-    monkeypatch: pytest.MonkeyPatch,
+    truth: Machine, force: float, expected: tuple[AppliedEffect, ...]
 ) -> None:
-    """Of the plain fit, the fitted runs show no term, and the held-out runs confirm a constant force."""
-    errors_of = {
-        (): 3000.0,
-        (SPRING_LABEL,): with_spring,
-        (FORCE_LABEL,): force,
-        (FORCE_LABEL, DRAG_LABEL): with_drag,
-        (DRAG_LABEL,): with_drag,
-    }
+    judgment = withdrawn_names(
+        AXIS, {(): 3000.0, (SPRING_LABEL,): 600.0, (FORCE_LABEL,): force}, "unexplained"
+    )
+    outcome = judgment.evaluated.outcome._replace(data=axis_runs(truth, rows=100, volts=3.0))
+    evaluated = judgment.evaluated._replace(outcome=outcome)
+    assert fit_to_describe(plain_with_uncertain_force(), evaluated, Budget()).machine.effects == expected
+
+
+@pytest.mark.parametrize(
+    ("with_drag", "with_spring", "searched", "described"),
+    [
+        (400.0, 600.0, True, DRAG_LABEL),
+        (580.0, 600.0, True, SPRING_LABEL),  # the effect whose name was withdrawn is as good
+        (0.9, 1.5, False, SPRING_LABEL),  # and leaves only noise
+    ],
+)
+def test_effects_are_searched_for_where_those_whose_names_were_withdrawn_leave_more_than_noise(
+    with_drag: float, with_spring: float, searched: bool, described: str
+) -> None:
+    drag = EFFECTS["quadratic_drag"].at("x", c=1.0)
+    errors_of = {(): 3000.0, (SPRING_LABEL,): with_spring, (DRAG_LABEL,): with_drag}
+    judgment, begun = withdrawn_names(AXIS, errors_of, "unexplained"), []
+
+    def further() -> Iterator[tuple[Fit, tuple[str, ...]]]:
+        begun.append(drag)
+        yield fit_of(AXIS.replace(effects=(drag,))), (drag.label,)
+
+    description = best_description(judgment, judgment.evaluated.before, further(), lambda line: None)
+    assert description is not None
+    assert [e.label for e in description.evaluated.after.machine.effects] == [described]
+    assert description.evaluated.selected == ()
+    assert begun == [drag] * searched
+
+
+def test_a_description_that_leaves_only_noise_is_delivered_beside_a_plain_fit() -> None:
+    errors_of = {(): 3000.0, (SPRING_LABEL,): 1.5, (FORCE_LABEL,): 1000.0}
     judgment = withdrawn_names(AXIS, errors_of, "unexplained")
-    plain_machine = AXIS.replace(effects=())
-    plain = PlainFit(plain_machine, (fit_of(plain_machine),), (fit_of(plain_machine.with_effects(FORCE)),))
-    begun: list[list[str]] = []
-
-    def descriptions(start: Fit, *_: object) -> Iterator[tuple[Fit, Sequence[str]]]:
-        begun.append([e.label for e in start.machine.effects])
-        drag = EFFECTS["quadratic_drag"].at("x", c=1.0)
-        yield fit_of(start.machine.with_effects(drag)), [drag.label]
-
-    monkeypatch.setattr(simpler_machines, "descriptions", descriptions)
-    monkeypatch.setattr(simpler_machines, "refined_equally", lambda fitted, data: fitted)
-    monkeypatch.setattr(simpler_machines, "equally_weighted", lambda data: data)
-    monkeypatch.setattr(simpler_machines, "representative_part", lambda data, machine: data)
-    monkeypatch.setattr(simpler_machines, "_runs_to_report", lambda test, fitted: 0.0)
-    monkeypatch.setattr(simpler_machines, "prediction_cost", lambda machine, data, bandwidth: 1.0)
-    delivered = no_worse(judgment, plain, lambda line: None, Budget())
-    assert [e.label for e in delivered.evaluated.after.machine.effects] == described
-    assert begun == starts
-    assert delivered.evaluated.selected == ()
+    delivered = no_worse(judgment, plain_with_uncertain_force(), lambda line: None, Budget())
+    assert delivered.evaluated.after.machine.effects == (SPRING,)
+    assert delivered.plain is not None
+    assert (delivered.plain.terms, delivered.plain.delivered) == ((FORCE_LABEL,), False)
 
 
-def delivered_beside(simpler: str, monkeypatch: pytest.MonkeyPatch, *, explains: bool) -> Any:
+def delivered_beside(simpler: str, *, explains: bool) -> Any:
     """Deliver a machine with a spring whose simulation errs more than that of a simpler machine.
 
     Args:
@@ -210,12 +218,6 @@ def delivered_beside(simpler: str, monkeypatch: pytest.MonkeyPatch, *, explains:
     after = fit_of(declared.with_effects(SPRING))
     selected = (SelectedEffect(SPRING, 1.0, declared),)
     found = SearchOutcome(fit_of(declared), False, False, "effect_found", after, selected, (), DATA)
-
-    monkeypatch.setattr(simpler_machines, "refined_equally", lambda fitted, data: fitted)
-    monkeypatch.setattr(simpler_machines, "with_certain_effects", lambda outcome, criteria, log: outcome)
-    monkeypatch.setattr(simpler_machines, "prediction_cost", lambda machine, data, bandwidth: 1.0)
-    monkeypatch.setattr(simpler_machines, "_declared", lambda evaluated: fit_of(declared))
-    monkeypatch.setattr(simpler_machines, "_runs_to_report", lambda test, fitted: 0.0)
     return no_worse(
         Judged(runs.evaluate(found)),
         PlainFit(plain_machine, (fit_of(plain_machine),)),
@@ -226,38 +228,32 @@ def delivered_beside(simpler: str, monkeypatch: pytest.MonkeyPatch, *, explains:
 
 @pytest.mark.parametrize("simpler", ["plain", "declared"])
 def test_a_machine_that_explains_an_unstable_motion_is_delivered_although_its_simulation_errs_more(
-    simpler: str, monkeypatch: pytest.MonkeyPatch
+    simpler: str,
 ) -> None:
-    delivered = delivered_beside(simpler, monkeypatch, explains=True)
+    delivered = delivered_beside(simpler, explains=True)
     assert [s.effect for s in delivered.evaluated.selected] == [SPRING]
     assert (delivered.evaluated.reason, delivered.remarks) == ("", ())
 
 
 @pytest.mark.parametrize("simpler", ["plain", "declared"])
-def test_simulations_decide_along_other_motions(simpler: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    delivered = delivered_beside(simpler, monkeypatch, explains=False)
+def test_simulations_decide_along_other_motions(simpler: str) -> None:
+    delivered = delivered_beside(simpler, explains=False)
     assert delivered.evaluated.selected == ()
     assert "the machine that is delivered is the" in delivered.evaluated.reason.lower()
     assert not delivered.evaluated.reason.endswith(".")
 
 
 @pytest.mark.parametrize("explained", [True, False])
-@pytest.mark.parametrize("contradicted", [("run_02",), ()])
-def test_held_out_runs_that_contradict_all_machines_choose_none(
-    explained: bool, contradicted: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.parametrize("gain", [1.0, 0.5])
+def test_held_out_runs_that_contradict_all_machines_choose_none(explained: bool, gain: float) -> None:
     """A run with a smaller gain contradicts two others: of two errors of hundreds of times the noise, none is right."""
     declared, fitted = AXIS.replace(effects=()), AXIS.replace(effects=()).with_effects(FORCE)
-    run = SimpleNamespace(name="run_02")
-    runs = HeldOutRuns(declared, {(): 430.0, (FORCE_LABEL,): 559.0})
-    runs.complete_runs = SimpleNamespace(runs=(run,))
+    held_out = DATA.with_runs(["run_2"])
+    held_out = held_out.with_inputs({run.name: gain * run.inputs for run in held_out.runs})
+    runs = HeldOutRuns(declared, {(): 430.0, (FORCE_LABEL,): 559.0}, complete_runs=held_out)
     found = SearchOutcome(fit_of(fitted), explained, explained, "unexplained", fit_of(fitted), (), (), DATA)
-    monkeypatch.setattr(Evaluated, "held_out", property(lambda self: runs.complete_runs))
-    monkeypatch.setattr(simpler_machines, "contradicting_held_out_runs", lambda *_: contradicted)
-    monkeypatch.setattr(simpler_machines, "_declared", lambda evaluated: fit_of(declared))
-    monkeypatch.setattr(simpler_machines, "_described", lambda *_: None)
     judgment = Judged(runs.evaluate(found)._replace(reason="it contradicts"))
-    delivered = no_worse(judgment, None, lambda line: None, Budget(), differing=("run_02",))
-    stays = explained and bool(contradicted)
+    delivered = no_worse(judgment, None, lambda line: None, Budget(), differing=("run_2",))
+    stays = explained and gain != 1.0
     assert delivered.evaluated.after.machine.effects == ((FORCE,) if stays else ())
     assert delivered.evaluated.reason == "it contradicts"
