@@ -71,7 +71,11 @@ class Scripted:
         self.residue: dict[float, float] = {}  # by chi-squared of the fit
         self.drives = 10.0
         self.confirmed, self.variance, self.fault, self.difference = 1.0, 1.0, "", 1.0
-        self.simulated = 100.0  # chi-squared per sample of a simulation
+        self.simulated = 100.0  # chi-squared per sample of a simulation without effects
+        self.narrower: dict[float, Fit] = {}  # by bandwidth, the fit with the next narrower observer
+        self.observer: float | None = (
+            None  # bandwidth of the observer that is most likely, if it is another one
+        )
         self.trials: list[list[Fit]] = []
         self.structures: list[list[Fit]] = []
         self.without: dict[str, Fit | None] = {}
@@ -87,12 +91,14 @@ class Scripted:
             "long_run_variance": lambda fitted, label, data: LongRunVariance(self.variance),
             "plausibility_fault": lambda machine: self.fault,
             "force_difference": lambda a, b, data: self.difference,
-            "fit_with_model_error": lambda fitted, data: fitted,
+            "fit_with_model_error": lambda fitted, data: (
+                fitted if self.observer is None else dataclasses.replace(fitted, bandwidth=self.observer)
+            ),
             "with_probable_starts": lambda current, data, criteria: (current, data),
             "other_updates": lambda current, data, criteria: None,
-            "narrower_observer": lambda fitted, data: fitted,
-            "continue_fit": lambda fitted, data, bandwidth: fit_with(
-                chi2=self.simulated, bandwidth=bandwidth
+            "narrower_observer": lambda fitted, data: self.narrower.get(fitted.bandwidth, fitted),
+            "continue_fit": lambda fitted, data, bandwidth: (
+                fitted if fitted.machine.effects else fit_with(chi2=self.simulated, bandwidth=bandwidth)
             ),
             "likelihood_deficit": lambda fitted, reference, data: math.inf,
             "converge": lambda fitted, data, thorough: fitted,

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,13 +12,10 @@ import pytest
 from hframe_gym.effects import EFFECTS
 from hframe_gym.errors import InputError
 from hframe_gym.identification import (
-    Dataset,
     SelectedEffect,
-    SelectionCriteria,
     default_free_parameters,
     fit,
     identify,
-    prepare,
 )
 from hframe_gym.identification.budget import (
     COMPARISON_PART,
@@ -35,15 +30,15 @@ from hframe_gym.identification.budget import (
     spender,
     stage_ends,
 )
-from hframe_gym.identification.fit.estimation import Fit
 from hframe_gym.identification.fit.plain_fit import plain_fit
-from hframe_gym.identification.search import checked_search, model_search, search_effects
-from hframe_gym.identification.search.forward_selection import EffectSearch
+from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH
+from hframe_gym.identification.search import checked_search
+from hframe_gym.identification.search.model_search import ModelSearch
 from hframe_gym.identification.search.outcome import SearchOutcome
-from hframe_gym.identification.validate import evaluation, simpler_machines
-from hframe_gym.identification.validate.machine_errors import ModelEvaluation, evaluate_held_out
-from hframe_gym.machine import BUILTIN_MACHINES, Machine
-from tests.identification.scripted_fits import CRITERIA, DATA, fit_with
+from hframe_gym.identification.validate.evaluation import HeldOutTests
+from hframe_gym.machine import BUILTIN_MACHINES
+from hframe_gym.preparation.session import prepare_session
+from tests.identification.scripted_fits import CRITERIA
 from tests.identification.single_axis import AXIS, axis_recordings, axis_runs, limited_runs
 
 pytestmark = pytest.mark.unit
@@ -256,92 +251,65 @@ def test_a_search_that_ends_early_leaves_time_to_compare_the_runs(part: float, t
     assert any("The runs differ" in warning for warning in result.run_warnings) == told
 
 
+def searched_for_drag() -> ModelSearch:
+    """Return a search that has found quadratic drag, with Tustin friction as its rival, and tested nothing yet."""
+    data = axis_runs(AXIS.with_effects(EFFECTS["quadratic_drag"].at("x", c=60.0)), rows=500, volts=6.0)
+    search = ModelSearch(AXIS, data, CRITERIA, lambda line: None)
+    (drag,) = search.selection[1]
+    assert (drag.effect.label, drag.rivals) == ("quadratic_drag@x", ("tustin_friction@x",))
+    return search
+
+
 @pytest.mark.parametrize("remaining", [True, False])
-def test_what_was_found_is_compared_with_other_effects_in_the_remaining_time(
-    monkeypatch: pytest.MonkeyPatch, remaining: bool
-) -> None:
-    """The search ends when it begins to compare them; a name without rivals would say that nothing else is possible."""
-    rival, seconds = EFFECTS["quadratic_drag"].at("x", c=4.0), [0.0]
-    ends = iter([stage_ends(AXIS).search, stage_ends(AXIS).search if remaining else 1.0])
+def test_what_was_found_is_compared_with_other_effects_in_the_remaining_time(remaining: bool) -> None:
+    """A name without rivals would say that nothing else is possible; tests and last fits come first."""
+    spent = [0.0]
+    tests = Budget(1.0, clock=lambda: spent[0])
 
-    def compared(
-        search: Any, current: Fit, selected: tuple[SelectedEffect, ...]
-    ) -> tuple[SelectedEffect, ...]:
-        seconds[0] = next(ends)
-        spend()
-        return tuple(dataclasses.replace(s, rival_effects=(rival,)) for s in selected)
+    def at_last_fit() -> float:
+        spent[0] = 0.0 if remaining else tests.seconds
+        return 0.0
 
-    monkeypatch.setattr(EffectSearch, "with_indistinguishable", compared)
-    budget = Budget(1.0, clock=lambda: seconds[0])
-    (found,) = search_effects.search_effects(
-        AXIS, prepare(limited_runs([3.0, 9.0]), AXIS), CRITERIA, lambda line: None, budget=budget
-    ).selected
-    assert found.rival_effects == ((rival,) if remaining else ())
+    last_fit = Budget(clock=at_last_fit)
+    spent[0] = 0.0  # the budget has asked its clock
+    (found,) = searched_for_drag().finished_early(tests, last_fit).selected
+    assert found.effect.label == "quadratic_drag@x"
+    assert ("stribeck_friction@x" in found.rivals) == remaining
 
 
-def budget_with_slow_fit(monkeypatch: pytest.MonkeyPatch, fit_of_search: str, ends: float) -> Budget:
-    """Return a budget of 1 s that the search has used up when it compares rivals; a later fit ends at a time, s."""
-    seconds = [0.0]
+def test_the_judgment_of_a_search_that_ended_early_is_part_of_its_tests() -> None:
+    """Where the time for the tests ends before the last look at it, in the judgment, nothing is named."""
+    looks, of_tests = Clock(), list[float]()
 
-    def slow(fitted: Fit, data: Dataset) -> Fit:
-        seconds[0] = ends
-        spend()
-        return fitted
+    def at_last_fit() -> float:
+        of_tests.append(looks.seconds)
+        return 0.0
 
-    def progress(doing: str, spent: float, budget: float) -> None:
-        if doing == "comparing rivals":
-            seconds[0] = stage_ends(AXIS).search
-
-    monkeypatch.setattr(model_search, fit_of_search, slow)
-    return Budget(1.0, clock=lambda: seconds[0], progress=progress)
-
-
-def test_the_judgment_of_a_search_that_ended_early_is_part_of_its_tests(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """The effect that was found leaves an error, and the fits in simulation that judge it take too long."""
-    dragged = AXIS.with_effects(
-        EFFECTS["current_limit"].at("motor", I=5.0), EFFECTS["quadratic_drag"].at("x", c=60.0)
-    )
-    data = axis_runs(dragged, rows=1500, volts=9.0)
-    budget = budget_with_slow_fit(monkeypatch, "refined_in_simulation", ends=1.0)
-    outcome = search_effects.search_effects(
-        AXIS, data, SelectionCriteria(max_effects=1), lambda line: None, budget=budget
-    )
+    last_fit = Budget(clock=at_last_fit)
+    of_tests.clear()  # the budget has asked its clock
+    assert searched_for_drag().finished_early(Budget(clock=looks), last_fit).selected
+    outcome = searched_for_drag().finished_early(Budget(of_tests[0], clock=Clock()), Budget())
     assert outcome.selected == ()
     assert outcome.after is outcome.before
-    assert "was not tested before the budget ended" in [entry.reason for entry in outcome.considered]
-
-
-def test_the_last_fits_of_what_passed_its_tests_are_no_tests(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The effect that was found passes its tests in time, and the fits to deliver both machines take longer."""
-    budget = budget_with_slow_fit(monkeypatch, "fit_slow_log", ends=stage_ends(AXIS).tests)
-    data = axis_runs(AXIS.with_effects(EFFECTS["current_limit"].at("motor", I=5.0)), rows=1500, volts=9.0)
-    outcome = search_effects.search_effects(AXIS, data, SelectionCriteria(), lambda line: None, budget=budget)
-    assert outcome.unfinished
-    assert [s.effect.label for s in outcome.selected] == ["current_limit@motor"]
+    assert [entry.reason for entry in outcome.considered] == ["was not tested before the budget ended"]
 
 
 @pytest.mark.parametrize(
     ("seconds", "unfinished"), [(0.5, ""), (0.95, "searching for a delay or lag of the drives")]
 )
-def test_the_search_for_a_delay_of_the_drives_ends_with_the_budget(
-    monkeypatch: pytest.MonkeyPatch, seconds: float, unfinished: str
-) -> None:
+def test_the_search_for_a_delay_of_the_drives_ends_with_the_budget(seconds: float, unfinished: str) -> None:
     """The last stage ends at 90 %."""
-
-    def searched(outcome: SearchOutcome, *arguments: Any) -> SearchOutcome:
-        spend()
-        return outcome._replace(explained=True)
-
-    monkeypatch.setattr(checked_search, "with_input_timing", searched)
-    spent = [0.0]
+    push, spent, lines = EFFECTS["constant_force"].at("x", size=0.5), [0.0], list[str]()
+    delay = EFFECTS["input_delay"].at("drives", d=2e-3)
+    pushed, data = AXIS.with_effects(push), axis_runs(AXIS.with_effects(push, delay), rows=300, volts=6.0)
+    after = fit(pushed, default_free_parameters(pushed), data, SEARCH_BANDWIDTH)
+    selected = (SelectedEffect(push, 1.0, AXIS),)
+    outcome = SearchOutcome(after, False, False, "effect_found", after, selected, (), data)
     budget = Budget(1.0, clock=lambda: spent[0])
     spent[0] = seconds
-    bare = fit_with(chi2=1.0)
-    outcome = SearchOutcome(bare, False, False, "unexplained", bare, (), (), DATA)
-    found = checked_search._with_input_timing(outcome, DATA, CRITERIA, lambda line: None, budget)
-    assert (found.explained, found.unfinished) == (not unfinished, unfinished)
+    found = checked_search._with_input_timing(outcome, data, CRITERIA, lines.append, budget)
+    assert found.unfinished == unfinished
+    assert bool(lines) == (not unfinished)  # a delay was searched for
 
 
 def test_each_iteration_of_a_fit_asks_the_budget() -> None:
@@ -411,29 +379,48 @@ def test_a_budget_counts_what_comes_before_and_after_the_identification() -> Non
     assert budget.until(LAST_STAGE_END).seconds == pytest.approx(14.0 - 4.0)
 
 
-def test_no_machine_is_evaluated_twice_and_known_ones_before_the_search(
-    monkeypatch: pytest.MonkeyPatch,
+def test_no_machine_is_evaluated_twice() -> None:
+    """Its name does not matter."""
+    session = prepare_session(axis_recordings(AXIS, rows=200, volts=6.0), AXIS, CRITERIA, lambda line: None)
+    fitted, held_out = session.data.with_runs(["run_0"]), session.data.with_runs(["run_1", "run_2"])
+    tests = HeldOutTests(session, CRITERIA)
+    first = tests.of(held_out).errors(AXIS, fitted)
+    again = tests.of(held_out).errors(AXIS.replace({}), fitted, "again")
+    assert again.machine.name == "again"
+    assert again.errors is first.errors
+    heavy = AXIS.replace({"x.mass": 2.0 * AXIS.coordinates[0].mass})
+    assert tests.of(held_out).errors(heavy, fitted).errors is not first.errors
+
+
+class ReservingBudget(Budget):
+    """A budget that tells when time was reserved."""
+
+    def __init__(self, seconds: float) -> None:
+        self.reservations: list[float] = []
+        super().__init__(seconds)
+
+    def reserve(self, seconds: float) -> None:
+        """Reserve time, and write down how much."""
+        self.reservations.append(seconds)
+        super().reserve(seconds)
+
+
+@pytest.mark.parametrize(("rows", "known"), [(20_010, True), (1000, False)])
+def test_before_a_search_known_machines_are_evaluated_if_a_held_out_run_is_long(
+    rows: int, known: bool
 ) -> None:
-    """The held-out run is long, so that declared machine and plain fits are evaluated before the search begins."""
-    events: list[Machine | str] = []
-
-    def evaluated(machine: Machine, *args: Any) -> ModelEvaluation:
-        events.append(machine.replace(name="", uncertainty=None))
-        return evaluate_held_out(machine, *args)
-
-    monkeypatch.setattr(evaluation, "evaluate_held_out", evaluated)
-    monkeypatch.setattr(simpler_machines, "is_long", lambda recording, machine: True)
-    runs = axis_recordings(AXIS.replace({"x.mass": 2.0 * AXIS.coordinates[0].mass}), rows=1000, volts=6.0)
+    """The time that this takes is reserved for what follows the search."""
+    truth = AXIS.replace({"x.mass": 2.0 * AXIS.coordinates[0].mass})
+    *short, _ = axis_recordings(truth, rows=1000, volts=6.0)
+    *_, held_out = axis_recordings(truth, rows=rows, volts=2.0)
+    budget, before_search = ReservingBudget(0.0), list[float]()
 
     def log(line: str) -> None:
-        events.append(line)
+        if line.startswith("refitted machine"):
+            before_search[:] = before_search or budget.reservations
 
-    identify(runs, AXIS, budget=0.0, log=log)
-    machines = [event for event in events if isinstance(event, Machine)]
-    assert all(machine != other for machine, other in itertools.combinations(machines, 2))
-    begun = next(k for k, event in enumerate(events) if str(event).startswith("refitted machine"))
-    assert AXIS.replace(name="") in events[:begun]
-    assert sum(isinstance(event, Machine) for event in events[:begun]) >= 2
+    identify([*short, held_out], AXIS, held_out=[held_out.name], budget=budget, log=log)
+    assert (max(before_search) > 0.0) == known
 
 
 @pytest.mark.parametrize(("seconds", "part"), [(0.0, 1.0), (10.0, 0.25), (60.0, 0.5), (math.inf, 1.0)])

@@ -189,12 +189,8 @@ def test_a_step_is_finite_where_bounded_least_squares_divides_by_zero(
             return OptimizeResult(x=np.full(6, np.nan)) if method == "bvls" else solution
 
         monkeypatch.setattr(free_parameters, "lsq_linear", without_solution)
-    monkeypatch.setattr(
-        free_parameters, "_minimum_by_active_sets", lambda *model: None
-    )  # as if it did not settle
     lower = np.array([-0.63, -1.7, -2.4, 0.0, -15.0, -1.0])
     upper = np.array([16.0, 3.9, 0.0, 0.8, 85.0, 0.0])
-    free = [FreeParameter("", 0.0, 1.0, 1.0, *limits) for limits in zip(lower, upper, strict=True)]
     gradient = np.array([-2e6, -2e5, -1e6, 6e6, -9e5, 0.0])
     hessian = np.array(
         [
@@ -206,7 +202,7 @@ def test_a_step_is_finite_where_bounded_least_squares_divides_by_zero(
             [0.0, 0.0, 0.0, 0.0, 0.0, 10.4],
         ]
     )
-    step = bounded_step(free, np.zeros(6), hessian, gradient)
+    step = free_parameters._minimum_by_least_squares(hessian, gradient, (lower, upper))
     assert np.all((lower <= step) & (step <= upper))
     # Conditions for the minimum: the slope is zero, except where it points beyond a limit.
     slope, near = (hessian @ step + gradient) / np.sqrt(np.diag(hessian)), 1e-3

@@ -5,18 +5,13 @@ Nothing is simulated. Fits have the costs that a test gives them, so that a test
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Callable, Sequence
 from types import SimpleNamespace
-from typing import Any
 
 import pytest
 
 from hframe_gym.effects import EFFECTS
-from hframe_gym.identification.evidence.rivals import ComparedRivals
-from hframe_gym.identification.fit.estimation import Fit, describe_gain
+from hframe_gym.identification.fit.estimation import describe_gain
 from hframe_gym.identification.predict.prediction import SIMULATION
-from hframe_gym.identification.search import forward_selection
 from hframe_gym.machine import AppliedEffect
 from tests.identification.scripted_fits import (
     DATA,
@@ -116,21 +111,14 @@ def test_structural_effects_are_tried_again_beside_each_further_effect(scripted:
     ids=["explains the simulation", "leaves a quarter", "nearly unexplained before"],
 )
 def test_what_all_observers_hide_is_searched_for_in_simulation(
-    scripted: Scripted, monkeypatch: pytest.MonkeyPatch, with_3_rad_s: float, left: float, found: bool
+    scripted: Scripted, with_3_rad_s: float, left: float, found: bool
 ) -> None:
     """An off-center encoder disk whose period is longer than the travel left 2.96 in simulation and 1.2 at 3 rad/s."""
-    narrower = {60.0: (3.0, with_3_rad_s), 3.0: (SIMULATION, 3.0)}
-
-    def narrower_observer(fitted: Fit, data: object) -> Fit:
-        bandwidth, chi2 = narrower[fitted.bandwidth]
-        return fit_with(chi2=chi2, bandwidth=bandwidth)
-
-    monkeypatch.setattr(forward_selection, "narrower_observer", narrower_observer)
-    monkeypatch.setattr(
-        forward_selection,
-        "continue_fit",
-        lambda fitted, data, bandwidth: fitted if fitted.machine.effects else fit_with(chi2=3.0),
-    )
+    scripted.simulated = 3.0
+    scripted.narrower = {
+        60.0: fit_with(chi2=with_3_rad_s, bandwidth=3.0),
+        3.0: fit_with(chi2=3.0, bandwidth=SIMULATION),
+    }
     scripted.trials = [[], [], [fit_with(PUSH, chi2=left)]]
     _, effects = scripted.search().run(fit_with(chi2=1.05, bandwidth=60.0))
     assert [s.effect for s in effects] == ([PUSH] if found else [])
@@ -202,14 +190,10 @@ def test_after_a_search_with_held_voltages_the_last_effect_may_give_way_as_well(
 
 @pytest.mark.parametrize(("observer", "kept"), [(15.0, DRAG), (60.0, PUSH)])
 def test_at_a_narrower_observer_the_last_effect_may_give_way_as_well(
-    scripted: Scripted, monkeypatch: pytest.MonkeyPatch, observer: float, kept: AppliedEffect
+    scripted: Scripted, observer: float, kept: AppliedEffect
 ) -> None:
     """An eccentric encoder explained more than the eccentric pulley at 60 rad/s, and less at 15 rad/s."""
-    monkeypatch.setattr(
-        forward_selection,
-        "fit_with_model_error",
-        lambda fitted, data: dataclasses.replace(fitted, bandwidth=observer),
-    )
+    scripted.observer = observer
     scripted.without = {PUSH.label: fit_with(chi2=6.0)}
     scripted.trials, scripted.replacement = (
         [[fit_with(PUSH, chi2=2.0, bandwidth=60.0)]],
@@ -252,69 +236,3 @@ def test_an_effect_that_raises_the_error_is_not_said_to_reduce_it() -> None:
         describe_gain(before, worse)
         == "does not reduce chi-squared per sample (500.5, with it 533.5, simulation)"
     )
-
-
-def test_a_rival_is_compared_once_beside_the_same_machine(
-    scripted: Scripted, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The search settles rivals after each effect and at its end, where the comparison with all effects adds some."""
-    compared: list[list[str]] = []
-
-    def compare(current: Fit, label: str, rivals: Sequence[AppliedEffect], *rest: Any, **more: Any) -> Any:
-        compared.append([rival.label for rival in rivals])
-        return ComparedRivals(None, tuple(rival for rival in rivals if rival is not SPRING))
-
-    monkeypatch.setattr(forward_selection, "compare_rivals", compare)
-    search, current = scripted.search(), fit_with(PUSH, chi2=1.0)
-    push = selected(PUSH)
-    for given in ((SPRING, FRAME), (SPRING, FRAME, DRAG)):
-        _, (push,) = search.settle_rivals(current, (dataclasses.replace(push, rival_effects=given),))
-    assert compared == [[SPRING.label, FRAME.label], [DRAG.label]]
-    assert push.rival_effects == (FRAME, DRAG)
-    search.settle_rivals(fit_with(PUSH, chi2=1.0), (push,))
-    assert compared[-1] == [FRAME.label, DRAG.label]
-
-
-def test_the_most_likely_fit_of_a_machine_is_found_once(
-    scripted: Scripted, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Each effect has a rival, and more are compared later; where no observer is narrower, it is the polished fit."""
-    found: list[Fit] = []
-
-    def most_likely(current: Fit, data: Any) -> Fit:
-        found.append(current)
-        return current
-
-    def compare(*rest: Any, likely: Callable[[], Fit], **more: Any) -> Any:
-        assert likely() is current
-        return ComparedRivals(None, ())
-
-    monkeypatch.setattr(forward_selection, "most_likely_fit", most_likely)
-    monkeypatch.setattr(forward_selection, "compare_rivals", compare)
-    current = fit_with(PUSH, FRAME, chi2=1.0)
-    effects = [dataclasses.replace(selected(effect), rival_effects=(SPRING,)) for effect in (PUSH, FRAME)]
-    search = scripted.search()
-    search.settle_rivals(current, tuple(effects))
-    search.settle_rivals(current, tuple(dataclasses.replace(s, rival_effects=(DRAG,)) for s in effects))
-    assert search.polished(current) is current
-    assert found == [current]
-
-
-@pytest.mark.parametrize(("effects", "screened"), [((PUSH,), 1), ((PUSH, FRAME), 2)])
-def test_selected_effects_are_compared_with_the_candidates_of_the_last_step(
-    scripted: Scripted, monkeypatch: pytest.MonkeyPatch, effects: tuple[AppliedEffect, ...], screened: int
-) -> None:
-    """A refit of the same effects resembles the same candidates; beside another effect, they are screened again."""
-    fits: list[Fit] = []
-
-    def screen(current: Fit, data: Any, without: Any) -> Any:
-        fits.append(current)
-        return SimpleNamespace(screening=SimpleNamespace(fit=current, data=data))
-
-    monkeypatch.setattr(forward_selection, "screened_fit", screen)
-    monkeypatch.setattr(forward_selection, "indistinguishable", lambda screened, label, loss: [DRAG])
-    search = scripted.search()
-    search.run(fit_with(PUSH, chi2=10.0))
-    (push,) = search.with_indistinguishable(fit_with(*effects, chi2=9.9), (selected(PUSH),))
-    assert push.rival_effects == (DRAG,)
-    assert len(fits) == screened
