@@ -385,7 +385,7 @@ def test_no_machine_is_evaluated_twice() -> None:
     fitted, held_out = session.data.with_runs(["run_0"]), session.data.with_runs(["run_1", "run_2"])
     tests = HeldOutTests(session, CRITERIA)
     first = tests.of(held_out).errors(AXIS, fitted)
-    again = tests.of(held_out).errors(AXIS.replace({}), fitted, "again")
+    again = tests.of(held_out).errors(AXIS.replace(name="other"), fitted, "again")
     assert again.machine.name == "again"
     assert again.errors is first.errors
     heavy = AXIS.replace({"x.mass": 2.0 * AXIS.coordinates[0].mass})

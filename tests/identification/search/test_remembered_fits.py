@@ -89,8 +89,9 @@ def test_selected_effects_are_compared_with_the_candidates_of_the_last_step(
     """A refit of the same effects resembles the same candidates; beside another effect, they are screened again."""
     rig = PushedAxis()
     current = rig.fitted(PUSH)
-    _, steps = rig.steps(lambda: rig.search._passing(current, 0.1))
-    assert sum("screening" in step for step in steps) == 1
+    for count in (1, 0):  # the same fit has the same candidates
+        _, steps = rig.steps(lambda: rig.search._passing(current, 0.1))
+        assert sum("screening" in step for step in steps) == count
     refitted = rig.fitted(*effects)
     ((push,), steps) = rig.steps(lambda: rig.search.with_indistinguishable(refitted, (selected(PUSH),)))
     assert push.rivals[0] == OFFSET.label
