@@ -241,12 +241,15 @@ class HeldOutTest:
         return reason
 
     def predictions(self, model: ModelEvaluation, fitted: Dataset, names: Sequence[str] = ()) -> Array:
-        """Return the errors of predictions of a machine, see `predictions_by_run`.
+        """Return how well a machine predicts each held-out run, by sensor (`predictions_by_run`).
 
         Args:
             model: Machine with its errors.
             fitted: Runs that it was fitted to.
             names: Names of the held-out runs that are predicted. Default: all.
+
+        Returns:
+            Mean squared error / that of an exact machine, dimensionless, shape (runs, sensors).
         """
         runs = self.complete_runs
         return predictions_by_run(model, runs.with_runs(names) if names else runs, fitted)
