@@ -1,90 +1,92 @@
-"""Tests of the search for a delay that the observer hides, with scripted fits: each condition from both sides."""
+"""Tests of the search for a delay that the observer hides, in runs of an axis with a slow force that has no name."""
 
 from __future__ import annotations
 
 import dataclasses
-from types import SimpleNamespace
-from typing import Any
+from collections.abc import Callable
+from functools import cache
 
+import numpy as np
 import pytest
 
+from hframe_gym.dynamics import simulate_batch
 from hframe_gym.effects import EFFECTS
-from hframe_gym.identification import Fit
-from hframe_gym.identification.judge.chance import LongRunVariance
+from hframe_gym.identification import Dataset, SelectedEffect, default_free_parameters, fit, prepare
 from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH
 from hframe_gym.identification.search import input_timing
 from hframe_gym.identification.search.input_timing import with_input_timing
 from hframe_gym.identification.search.outcome import SearchOutcome
-from tests.identification.scripted_fits import COUNT, CRITERIA, PUSH, fit_with, runs, selected
+from hframe_gym.machine import AppliedEffect
+from hframe_gym.recordings import Recording
+from tests.identification.scripted_fits import CRITERIA
+from tests.identification.single_axis import AXIS
 
-DELAY = EFFECTS["input_delay"].at("drives", d=2e-4)
-LAG = EFFECTS["electrical_lag"].at("motor", tau=2e-4)
-WIDE = 300.0  # rad/s; 0.3 rad per sampling period of 1 ms
-
-
-class Script:
-    """Costs by observer bandwidth, without and with the delay, and the results of the tests of its benefit."""
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.chi2 = {SEARCH_BANDWIDTH: (100.0, 97.0), WIDE: (10.0, 9.0)}
-        self.variance, self.confirmed, self.fault = 1.0, 1.0, ""
-        self.held_out_gain = 0.2
-        self.lag: float | None = None  # chi-squared with a lag instead of the delay
-        self.converged: dict[str, Fit] = {}  # what the fit of a trial ends with, by the effect's label
-        self.lines: list[str] = []
-        replaced = {
-            "refine_dataset": lambda data, machine, reference=None: data,
-            "continue_fit": self.fitted,
-            "polish": lambda fitted, data: fitted,
-            "converge": lambda trial, data, thorough: self.converged.get(
-                trial.machine.effects[-1].label, trial
-            ),
-            "likelihood_loss": lambda fitted, data: fitted.chi2,
-            "long_run_variance": lambda fitted, label, data: LongRunVariance(self.variance),
-            "leave_one_out_gain": lambda a, b, data: self.confirmed * (a.cost - b.cost),
-            "refitted_leave_one_out_gain": lambda a, b, data, least: self.confirmed * (a.cost - b.cost),
-            "plausibility_fault": lambda machine: self.fault,
-            "error_reduction": lambda *arguments: self.held_out_gain,
-            "_trials": self.trials,
-        }
-        for name, function in replaced.items():
-            monkeypatch.setattr(input_timing, name, function)
-
-    def fitted(self, fitted: Fit, data: Any, bandwidth: float) -> Fit:
-        """Return the scripted fit of the same machine at another bandwidth."""
-        effects = fitted.machine.effects
-        return fit_with(*effects, chi2=self.chi2[bandwidth][len(effects) - 1], bandwidth=bandwidth)
-
-    def trials(self, current: Fit, data: Any) -> list[Fit]:
-        """Return the trial fit of the delay, and that of a lag if there is one."""
-        lags = [] if self.lag is None else [fit_with(PUSH, LAG, chi2=self.lag, bandwidth=WIDE)]
-        return [fit_with(PUSH, DELAY, chi2=self.chi2[WIDE][1], bandwidth=WIDE), *lags]
-
-    def outcome(self, period: float = 1e-3, bandwidth: float = SEARCH_BANDWIDTH) -> SearchOutcome:
-        """Return an outcome with a constant force that leaves forces of unknown size."""
-        data: Any = SimpleNamespace(count=COUNT, period=period)
-        after = fit_with(PUSH, chi2=self.chi2[SEARCH_BANDWIDTH][0], bandwidth=bandwidth)
-        return SearchOutcome(after, False, False, "effect_found", after, (selected(PUSH),), (), data)
-
-    def run(self, outcome: SearchOutcome | None = None) -> SearchOutcome:
-        """Search for a delay."""
-        return with_input_timing(outcome or self.outcome(), runs("a"), CRITERIA, self.lines.append)
+PUSH = EFFECTS["constant_force"].at("x", size=0.5)
+SLOW = 0.1  # N, amplitude of the force without a name
+PERIOD = 1e-3  # s
 
 
-@pytest.fixture
-def script(monkeypatch: pytest.MonkeyPatch) -> Script:
-    """Return a script in which a delay passes all tests."""
-    return Script(monkeypatch)
+def delay(seconds: float) -> AppliedEffect:
+    return EFFECTS["input_delay"].at("drives", d=seconds)
 
 
-def test_a_delay_that_the_observer_hides_is_added(script: Script) -> None:
-    """It removes 3 % of the error with the observer of the search and 10 % with the wider one."""
-    outcome = script.run()
+def lag(seconds: float) -> AppliedEffect:
+    return EFFECTS["electrical_lag"].at("motor", tau=seconds)
+
+
+@cache
+def recorded(
+    delay_s: float = 0.0,
+    lag_s: float = 0.0,
+    *,
+    seeds: tuple[int, ...] = (0, 1, 2),
+    slow: float = SLOW,
+    noise: float = 1e-6,
+    every: int = 1,
+) -> Dataset:
+    """Return runs with a constant force, a slow one, and a delay or a lag of the drives.
+
+    Args:
+        delay_s: Delay, s.
+        lag_s: Time constant of the lag, s.
+        slow: Amplitude of the slow force, N.
+        noise: Of the sensor, m.
+        every: Which rows are logged.
+    """
+    timing = [*([delay(delay_s)] if delay_s else []), *([lag(lag_s)] if lag_s else [])]
+    runs, truth = [], AXIS.with_effects(PUSH, *timing)
+    for seed in seeds:
+        rng, time_s = np.random.default_rng(seed), np.arange(1000) * PERIOD
+        inputs = np.repeat(rng.uniform(-6.0, 6.0, (20, 1)), 50, axis=0)
+        inputs[:100] = 0.0
+        force = slow * np.sin(7.0 * time_s + seed) * (time_s > 0.1)
+        motion = simulate_batch(
+            truth, time_s, inputs, extra_force=force[None, :, None], longest_step=0.125e-3
+        )
+        outputs = motion.readings[0] + rng.normal(0.0, noise, motion.readings[0].shape)
+        runs.append(Recording(f"run_{seed}", time_s[::every], inputs[::every], outputs[::every]))
+    return prepare(runs, AXIS)
+
+
+def outcome_of(data: Dataset) -> SearchOutcome:
+    """Return the outcome of a search that found the constant force alone."""
+    machine = AXIS.with_effects(PUSH)
+    after = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
+    selected = (SelectedEffect(PUSH, 1.0, AXIS),)
+    return SearchOutcome(after, False, False, "effect_found", after, selected, (), data)
+
+
+def test_a_delay_that_the_observer_hides_is_added() -> None:
+    lines: list[str] = []
+    before = outcome_of(recorded(1e-3))
+    outcome = with_input_timing(before, recorded(1e-3, seeds=(7,)), CRITERIA, lines.append)
     assert [s.effect.label for s in outcome.selected] == ["constant_force@x", "input_delay@drives"]
+    added = outcome.selected[1]
+    assert added.effect.parameters["d"] == pytest.approx(1e-3, rel=0.02)
+    assert added.machine_without is before.after.machine
     assert outcome.after.bandwidth == SEARCH_BANDWIDTH
-    assert outcome.selected[1].gain == pytest.approx(3.0)
-    assert outcome.selected[1].rivals == ()
-    assert "300 rad/s" in script.lines[-1]
+    assert added.gain == pytest.approx(before.after.chi2 - outcome.after.chi2)
+    assert "300 rad/s" in lines[-1]  # 0.3 rad a sampling period
 
 
 def test_delays_and_lags_of_the_library() -> None:
@@ -93,69 +95,63 @@ def test_delays_and_lags_of_the_library() -> None:
     assert timing == {"input_delay", "electrical_lag"}
 
 
-def test_an_equally_good_lag_is_its_rival(script: Script) -> None:
-    script.lag = 9.01
-    assert script.run().selected[1].rivals == ("electrical_lag@motor",)
-
-
 @pytest.mark.parametrize(
-    ("lag", "selected_one", "rivals"),
+    ("true", "selected", "rivals"),
     [
-        (9.01, "input_delay@drives", ("electrical_lag@motor",)),
-        (9.5, "input_delay@drives", ()),
-        (7.9, "electrical_lag@motor", ()),
-        (
-            8.5,
-            "electrical_lag@motor",
-            ("input_delay@drives",),
-        ),  # it removes two thirds as much, and most is left
+        ({"delay_s": 1e-3}, "input_delay@drives", ["electrical_lag@motor"]),
+        ({"delay_s": 3e-3}, "input_delay@drives", []),
+        ({"lag_s": 1e-3}, "electrical_lag@motor", ["input_delay@drives"]),
     ],
 )
 def test_complete_fits_decide_between_a_delay_and_a_lag(
-    script: Script, lag: float, selected_one: str, rivals: tuple[str, ...]
+    true: dict[str, float], selected: str, rivals: list[str]
 ) -> None:
-    """Few iterations had left the lag at 9.9, or at 8.99."""
-    for incomplete in (9.9, 8.99):
-        script.lag = incomplete
-        script.converged = {"electrical_lag@motor": fit_with(PUSH, LAG, chi2=lag, bandwidth=WIDE)}
-        chosen = script.run().selected[1]
-        assert (chosen.effect.label, chosen.rivals) == (selected_one, rivals)
+    """An equally good one is a rival of the other; a long delay has none."""
+    before, held_out = outcome_of(recorded(**true)), recorded(**true, seeds=(7,))
+    added = with_input_timing(before, held_out, CRITERIA, lambda line: None).selected[1]
+    assert added.effect.label == selected
+    assert [rival.label for rival in added.rival_effects] == rivals
 
 
 @pytest.mark.parametrize(
-    ("changes", "reason"),
-    [
-        ({"chi2": {SEARCH_BANDWIDTH: (100.0, 90.0), WIDE: (10.0, 9.0)}}, "a slow error"),
-        ({"variance": 420.0}, "no more than chance"),  # the gain is 10,000, 24 times 418
-        ({"confirmed": 0.29}, "not confirmed"),
-        ({"fault": "diverges"}, "diverges"),
-        ({"held_out_gain": 0.0}, "held-out runs"),
-    ],
+    ("delay_s", "slow", "held_out_delay_s", "reason"),
+    [(1e-3, 0.2 * SLOW, 1e-3, "a slow error"), (3e-3, SLOW, 0.0, "held-out runs")],
 )
 def test_a_delay_that_fails_a_test_is_only_considered(
-    script: Script, changes: dict[str, Any], reason: str
+    delay_s: float, slow: float, held_out_delay_s: float, reason: str
 ) -> None:
-    for name, value in changes.items():
-        setattr(script, name, value)
-    outcome = script.run()
+    """`judge.effect.doubt_about_timing` decides."""
+    lines: list[str] = []
+    before, held_out = outcome_of(recorded(delay_s, slow=slow)), recorded(held_out_delay_s, seeds=(7,))
+    outcome = with_input_timing(before, held_out, CRITERIA, lines.append)
     assert len(outcome.selected) == 1
     assert [entry.effect.label for entry in outcome.considered] == ["input_delay@drives"]
     assert reason in outcome.considered[0].reason
+    assert reason in lines[-1]
 
 
-def test_it_is_not_tried_where_nothing_is_hidden(script: Script) -> None:
-    """Not without effects or without a remaining error, with a narrow observer, slow sampling or noisy sensors."""
-    outcome = script.outcome()
-    for other in (
-        outcome._replace(selected=()),
-        outcome._replace(explained=True),
-        script.outcome(bandwidth=30.0),
-        script.outcome(period=5e-3),
-        outcome._replace(
-            after=dataclasses.replace(outcome.after, machine=outcome.after.machine.with_effects(LAG))
+@pytest.mark.parametrize(
+    "changed",
+    [
+        lambda outcome: outcome._replace(selected=()),
+        lambda outcome: outcome._replace(explained=True),
+        lambda outcome: outcome._replace(after=dataclasses.replace(outcome.after, bandwidth=30.0)),
+        lambda outcome: outcome._replace(
+            after=dataclasses.replace(outcome.after, machine=outcome.after.machine.with_effects(lag(1e-3)))
         ),
-    ):
-        assert script.run(other) is other
-    script.chi2[WIDE] = (100.0, 90.0)  # as likely as the observer of the search
-    assert script.run(outcome) is outcome
-    assert script.lines == []
+        lambda outcome: outcome_of(recorded(1e-3, every=5)),
+        lambda outcome: outcome_of(recorded(1e-3, noise=1e-3)),
+    ],
+    ids=["no effect", "explained", "narrow observer", "lag known", "slow sampling", "noisy sensors"],
+)
+def test_it_is_not_tried_where_nothing_is_hidden(changed: Callable[[SearchOutcome], SearchOutcome]) -> None:
+    lines: list[str] = []
+    other = changed(outcome_of(recorded(1e-3)))
+    assert with_input_timing(other, recorded(1e-3, seeds=(7,)), CRITERIA, lines.append) is other
+    assert lines == []
+
+
+def test_an_axis_whose_drives_act_at_once_has_none() -> None:
+    outcome = outcome_of(recorded())
+    found = with_input_timing(outcome, recorded(seeds=(7,)), CRITERIA, lambda line: None)
+    assert (found.selected, found.after) == (outcome.selected, outcome.after)
