@@ -73,9 +73,7 @@ def with_input_timing(
     if not likelihood_loss(current, data) < likelihood_loss(after, data):
         return outcome
     log("searching for a delay or lag of the drives")
-    # A delay and a lag explain nearly the same: incomplete fits would decide which is selected, and which a rival.
-    converged = [converge(trial, data, thorough=False) for trial in _trials(current, data)]
-    trials = simplest_first(converged, current, criteria)
+    trials = simplest_first([*_complete_trials(current, data)], current, criteria)
     if not trials:
         return outcome
     best = trials[0]
@@ -105,14 +103,18 @@ def with_input_timing(
     return outcome._replace(after=extended, selected=chosen)
 
 
-def _trials(current: Fit, data: Dataset) -> Iterator[Fit]:
-    """Fit each delay and lag of the library that promises to reduce the error, once per component."""
+def _complete_trials(current: Fit, data: Dataset) -> Iterator[Fit]:
+    """Fit each delay and lag of the library that promises to reduce the error, once per component.
+
+    They explain nearly the same: incomplete fits would decide which is selected, and which a rival.
+    """
     state = SearchState.of(current, data)
     tried: set[str] = set()
     for scored in screen(current, [c for c in candidates(state) if is_timing(c.effect)], data):
         if scored.gain > 0.0 and scored.candidate.label not in tried:
             tried.add(scored.candidate.label)
-            yield fit_with_candidate(current, scored, state.scales, data)
+            trial = fit_with_candidate(current, scored, state.scales, data)
+            yield converge(trial, data, thorough=False)
 
 
 def _held_out_gain(best: Fit, held_out: Dataset) -> float:

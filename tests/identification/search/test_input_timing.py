@@ -12,7 +12,9 @@ import pytest
 from hframe_gym.dynamics import simulate_batch
 from hframe_gym.effects import EFFECTS
 from hframe_gym.identification import Dataset, SelectedEffect, default_free_parameters, fit, prepare
+from hframe_gym.identification.fit.model_error import continue_fit
 from hframe_gym.identification.predict.prediction import SEARCH_BANDWIDTH
+from hframe_gym.identification.propose.trial_fits import converge
 from hframe_gym.identification.search import input_timing
 from hframe_gym.identification.search.input_timing import with_input_timing
 from hframe_gym.identification.search.outcome import SearchOutcome
@@ -111,6 +113,15 @@ def test_complete_fits_decide_between_a_delay_and_a_lag(
     added = with_input_timing(before, held_out, CRITERIA, lambda line: None).selected[1]
     assert added.effect.label == selected
     assert [rival.label for rival in added.rival_effects] == rivals
+
+
+def test_trials_are_complete() -> None:
+    """Few iterations leave the lag 2 % above its cost."""
+    before = outcome_of(recorded(3e-3))
+    trials = [*input_timing._complete_trials(continue_fit(before.after, before.data, 300.0), before.data)]
+    assert {trial.machine.effects[-1].name for trial in trials} == {"input_delay", "electrical_lag"}
+    for trial in trials:
+        assert trial.cost == pytest.approx(converge(trial, before.data, thorough=False).cost, rel=1e-3)
 
 
 @pytest.mark.parametrize(
