@@ -238,15 +238,35 @@ def bounded_step(free: Sequence[FreeParameter], theta: Array, hessian: Array, gr
         Step of theta, shape (k,): -hessian^-1 gradient if this stays within the limits, otherwise the minimum of the
         model within the limits.
     """
-    step = np.asarray(np.linalg.solve(hessian, -gradient), float)
+    low, high = limits_of_theta(free)
+    step = minimum_within(hessian, gradient, low - theta, high - theta)
+    moved = theta + step
+    within = np.all((low <= moved) & (moved <= high))  # rounding may move a parameter past its limit
+    return step if within else np.clip(moved, low, high) - theta
+
+
+def limits_of_theta(free: Sequence[FreeParameter]) -> tuple[Array, Array]:
+    """Return the smallest and the largest theta of each free parameter, dimensionless, shape (k,) each."""
     low, high = np.array([f.theta_limits for f in free]).reshape(-1, 2).T
-    if np.all((low <= theta + step) & (theta + step <= high)):
+    return low, high
+
+
+def minimum_within(hessian: Array, gradient: Array, low: Array, high: Array) -> Array:
+    """Return the step that minimizes 2 gradient^T step + step^T hessian step within limits, shape (k,).
+
+    Args:
+        hessian: Positive definite matrix of the model, dimensionless, shape (k, k).
+        gradient: Half the derivative of the model at step 0, dimensionless, shape (k,).
+        low: Smallest step, not above 0, shape (k,).
+        high: Largest step, not below 0, shape (k,).
+    """
+    step = np.asarray(np.linalg.solve(hessian, -gradient), float)
+    if np.all((low <= step) & (step <= high)):
         return step
-    limits = (low - theta, high - theta)
-    bounded = _minimum_by_active_sets(hessian, gradient, *limits)
+    bounded = _minimum_by_active_sets(hessian, gradient, low, high)
     if bounded is None:
-        bounded = _minimum_by_least_squares(hessian, gradient, limits)
-    return np.clip(theta + bounded, low, high) - theta
+        bounded = _minimum_by_least_squares(hessian, gradient, (low, high))
+    return np.clip(bounded, low, high)
 
 
 def _minimum_by_active_sets(hessian: Array, gradient: Array, low: Array, high: Array) -> Array | None:

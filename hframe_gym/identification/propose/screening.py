@@ -24,7 +24,13 @@ from ...machine import AppliedEffect, Machine
 from ...preparation.dataset import Dataset, PreparedRecording
 from ..budget import spender
 from ..fit.estimation import Fit
-from ..predict.free_parameters import FreeParameter, prior_precision, second_difference_penalty
+from ..predict.free_parameters import (
+    FreeParameter,
+    limits_of_theta,
+    minimum_within,
+    prior_precision,
+    second_difference_penalty,
+)
 from ..predict.linearization import DIFFERENCE_STEP, ResidualModel
 from ..predict.normal_equations import NormalEquations
 from ..predict.prediction import mechanical_rows_per_block, predict
@@ -208,8 +214,11 @@ class Screening:
         equations = equations.of_some(self._kept(free), self._of_candidates())
         # The ridge keeps the elimination possible where parameters have the same influence on the measurements.
         precision = prior_precision(free) + np.diag(_RIDGE * np.diag(equations.information))
-        reduced = equations.eliminate_parameters(precision)
-        scored = []
+        limited = self._limited(equations, free, precision)
+        if limited is not None:
+            scored = [limited.score(candidate, columns) for candidate, columns in self._with_columns(0)]
+            return sorted(scored, key=lambda s: -s.gain), limited.least_cost
+        reduced, scored = equations.eliminate_parameters(precision), []
         for candidate, columns in self._with_columns(0):
             # Square of each response before and after the free parameters took what they can reproduce of it.
             before = equations.response_information[columns, columns]
@@ -217,6 +226,24 @@ class Screening:
             gradient = reduced.response_gradient[columns]
             scored.append(_score(candidate, information, gradient, before, self.fit.chi2))
         return sorted(scored, key=lambda s: -s.gain), equations.least_cost(precision)
+
+    def _limited(
+        self, equations: NormalEquations, free: Sequence[FreeParameter], precision: Array
+    ) -> _Limited | None:
+        """Return the linearized residual with the limits of the free parameters; None if they are not in the way.
+
+        Without limits, a parameter that is at one would go on beyond it, and take what a candidate explains: a back-EMF
+        of 0, for example, what a bridge does that lets its motor coast.
+        """
+        if not equations.finite:
+            return None
+        names = {f.name for f in free}
+        theta = self.fit.theta[[f.name in names for f in self.fit.free]]
+        low, high = limits_of_theta(free)
+        step = -np.linalg.solve(equations.information + precision, equations.gradient)
+        if np.all((low <= theta + step) & (theta + step <= high)):
+            return None
+        return _Limited(equations, precision, low - theta, high - theta, self.fit.chi2)
 
     def _free_without(self, label: str) -> tuple[FreeParameter, ...]:
         """Return the free parameters without those of an effect."""
@@ -236,6 +263,65 @@ class Screening:
         for candidate in self.candidates:
             yield candidate, np.arange(first, first + len(candidate.columns))
             first += len(candidate.columns)
+
+
+class _Limited:
+    """Linearized residual of a fit whose parameters would leave their limits to reduce it.
+
+    Args:
+        equations: Normal equations with k free parameters; the basis functions of candidates are the responses.
+        precision: Inverse covariance of the parameters' prior, dimensionless, shape (k, k).
+        low: Smallest permitted changes of theta, dimensionless, shape (k,).
+        high: Largest permitted changes.
+        chi2: Chi-squared per sample of the fit, in whose units tables are required to be smooth.
+
+    Attributes:
+        least_cost: Cost with the best parameters within their limits, dimensionless.
+    """
+
+    def __init__(
+        self, equations: NormalEquations, precision: Array, low: Array, high: Array, chi2: float
+    ) -> None:
+        self._equations, self._hessian, self._chi2 = equations, equations.information + precision, chi2
+        self._low, self._high = low, high
+        step = minimum_within(self._hessian, equations.gradient, low, high)
+        self.least_cost, self._least = equations.cost_after(step), self._change(equations.gradient, step)
+
+    def _change(self, gradient: Array, step: Array) -> float:
+        """Return the change of the cost, with the penalty of the prior, by a change of theta of shape (k,)."""
+        return float(2.0 * step @ gradient + step @ self._hessian @ step)
+
+    def score(self, candidate: Candidate, columns: NDArray[np.intp]) -> ScoredCandidate:
+        """Return a candidate with the reduction of the cost by its best amounts, all parameters within their limits.
+
+        Args:
+            candidate: Candidate of b basis functions.
+            columns: Their indices among the responses, shape (b,).
+        """
+        cross = self._equations.cross_products[:, columns]
+        information = self._equations.response_information[np.ix_(columns, columns)]
+        gradient = self._equations.response_gradient[columns]
+        if not np.all(np.isfinite(information)) or not np.all(np.isfinite(cross)):
+            return ScoredCandidate(candidate, 0.0, (0.0,) * len(columns))
+        if candidate.has_no_amplitude:
+            amounts: Array = np.ones(1)
+            of_parameters = self._equations.gradient + cross[:, 0]
+            step = minimum_within(self._hessian, of_parameters, self._low, self._high)
+            change = float(2.0 * gradient[0] + information[0, 0]) + self._change(of_parameters, step)
+        else:
+            k = len(self._low)
+            low, high = _limits_of_amounts(candidate)
+            both = np.block(
+                [[self._hessian, cross], [cross.T, information + _ridge(candidate, information, self._chi2)]]
+            )
+            slope = np.concatenate([self._equations.gradient, gradient])
+            limits = np.concatenate([self._low, low]), np.concatenate([self._high, high])
+            step = minimum_within(both, slope, *limits)
+            amounts, change = step[k:], float(2.0 * step @ slope + step @ both @ step)
+        gain = self._least - change
+        if not gain > 0.0:
+            return ScoredCandidate(candidate, 0.0, (0.0,) * len(columns))
+        return ScoredCandidate(candidate, gain, tuple(amounts.tolist()))
 
 
 def _needs(candidate: Candidate, label: str) -> bool:
@@ -347,18 +433,33 @@ def _score(
     nothing = ScoredCandidate(candidate, 0.0, (0.0,) * len(gradient))
     if not np.all(np.isfinite(information)) or not np.any(np.diag(information) > _REPRODUCED * before):
         return nothing
-    ridge = _RIDGE * np.diag(np.maximum(np.diag(information), 1e-300))
-    if candidate.effect.family == TABLE_FAMILY:
-        ridge += chi2 * second_difference_penalty(len(gradient))
     if candidate.has_no_amplitude:
         amounts: Array = np.ones_like(gradient)
     else:
-        amounts = np.array(-np.linalg.solve(information + ridge, gradient), float)
-        if len(amounts) == 1:
-            amplitude = candidate.effect.parameter(candidate.effect.amplitudes[0])
-            unit = candidate.columns[0][amplitude.name]
-            amounts = np.array(np.clip(amounts, amplitude.lower / unit, amplitude.upper / unit), float)
+        least = -np.linalg.solve(information + _ridge(candidate, information, chi2), gradient)
+        amounts = np.array(np.clip(least, *_limits_of_amounts(candidate)), float)
     gain = float(-2 * amounts @ gradient - amounts @ information @ amounts)
     if not gain > 0.0:
         return nothing
     return ScoredCandidate(candidate, gain, tuple(amounts.tolist()))
+
+
+def _ridge(candidate: Candidate, information: Array, chi2: float) -> Array:
+    """Return what is added to the products of a candidate's responses, so that amounts exist and tables are smooth."""
+    ridge: Array = _RIDGE * np.diag(np.maximum(np.diag(information), 1e-300))
+    if candidate.effect.family == TABLE_FAMILY:
+        ridge += chi2 * second_difference_penalty(len(information))
+    return ridge
+
+
+def _limits_of_amounts(candidate: Candidate) -> tuple[Array, Array]:
+    """Return the smallest and largest amounts of a candidate's basis functions, shape (b,) each.
+
+    A single amplitude stays within its bounds; those of several are clipped with the phase or each for itself.
+    """
+    count = len(candidate.columns)
+    if count > 1:
+        return np.full(count, -np.inf), np.full(count, np.inf)
+    amplitude = candidate.effect.parameter(candidate.effect.amplitudes[0])
+    unit = candidate.columns[0][amplitude.name]
+    return np.array([amplitude.lower / unit]), np.array([amplitude.upper / unit])

@@ -50,6 +50,22 @@ def test_amount_stays_within_the_bounds_of_the_parameter(axis: Machine) -> None:
     assert gains[1] > 0.5 * data.count
 
 
+def test_a_parameter_at_its_limit_takes_nothing_from_an_effect(axis: Machine) -> None:
+    """Without back-EMF, the declared damping falls to its limits. Below them, it would do what the bridge does."""
+    axis = axis.replace({"x.viscous": 0.1})
+    data = prepare([recorded(axis.with_effects(EFFECTS["coasting_bridge"].at("motor", U=100.0)))], axis)
+    fitted = fit(axis, default_free_parameters(axis), data, SEARCH_BANDWIDTH)
+    assert {f.name for f, t in zip(fitted.free, fitted.theta, strict=True) if f.at_limit(t)} == {
+        "x.viscous", "motor.Ke"
+    }  # fmt: skip
+    bridge = candidate("coasting_bridge", "motor", U=3.0)
+    best = screen(fitted, [*CANDIDATES, bridge], data)[0]
+    assert best.candidate is bridge
+    machine = fitted.machine.with_effects(bridge.applied(best.amounts))
+    with_effect = fit(machine, default_free_parameters(machine), data, SEARCH_BANDWIDTH)
+    assert best.gain == pytest.approx(fitted.cost - with_effect.cost, rel=0.3)
+
+
 def test_another_effect_in_place_of_one_saves_what_a_fit_would(axis: Machine) -> None:
     """A cable explains a part of what the constant force does; a force that falls with speed explains less."""
     wrong = EFFECTS["constant_force"].at("x", size=0.1)
