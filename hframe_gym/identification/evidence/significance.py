@@ -153,7 +153,7 @@ def effect_evidence(reduced: TestedFit, tested: TestedFit, effect: AppliedEffect
         chance=cache(lambda: _chance(without, with_effect, effect, data)),  # two tests need it
         chance_narrower=None if has_narrowest_observer(with_effect, data) else narrower,
         forces=lambda: _forces(without, with_effect, effect, data),
-        forces_accurate=lambda: _forces(without, tested.likeliest, effect, data),
+        forces_accurate=lambda: _forces_at_likeliest(without, tested, effect),
         drives=lambda: drive_force(with_effect.machine, data),
         additions=lambda: _additions(without, with_effect, effect, data),
         parameters=parameter_values(effect.label, with_effect),
@@ -251,6 +251,16 @@ def _forces(without: Fit, with_effect: Fit, effect: AppliedEffect, data: Dataset
     if _is_forceless(effect):  # what it takes from the unexplained one
         size = math.sqrt(max(residue_force(without, data) ** 2 - residue**2, 0.0))
     return Forces(size, residue)
+
+
+def _forces_at_likeliest(without: Fit, tested: TestedFit, effect: AppliedEffect) -> Forces:
+    """Return the same forces at the most likely observer of the machine with the effect."""
+    likeliest, data = tested.likeliest, tested.data
+    if (
+        _is_forceless(effect) and likeliest.bandwidth != without.bandwidth
+    ):  # both of what one observer corrects
+        without = continue_fit(without, data, likeliest.bandwidth)
+    return _forces(without, likeliest, effect, data)
 
 
 def _additions(without: Fit, with_effect: Fit, effect: AppliedEffect, data: Dataset) -> Iterator[Addition]:

@@ -173,7 +173,7 @@ class EffectEvidence:
         chance: Reduction and long-run variance at the observer of both fits.
         chance_narrower: The same at the next narrower observer; None for a simulation.
         forces: Forces of the effect and of the residue, at the observer of the fits.
-        forces_accurate: The same at the most likely observer.
+        forces_accurate: The same at the most likely observer of the machine with the effect.
         drives: Force of the drives, N.
         additions: What the effect adds to each effect of another family that depends on the same variable.
         parameters: Its fitted parameters.
@@ -394,11 +394,11 @@ def _too_small(evidence: EffectEvidence, criteria: SelectionCriteria) -> str:
     forces, drives = evidence.forces(), evidence.drives()
     if forces.effect < criteria.min_drive_force_ratio * drives and not evidence.forceless:
         return f"has a force of {forces.effect:.2g} N, {forces.effect / drives:.1g} of that of the drives"
-    if (
-        criteria.min_promised_force_ratio * forces.residue
-        <= forces.effect
-        < criteria.min_force_ratio * forces.residue
-    ):
+    # An observer shows little of a slow force. Where the machine with an effect that has none of its own nearly
+    # explains the data, rounding errors of encoders may be most of what the observer corrects, without and with it.
+    hidden = evidence.forceless and nearly_explains(evidence.with_effect, criteria)
+    least = 0.0 if hidden else criteria.min_promised_force_ratio * forces.residue
+    if least <= forces.effect < criteria.min_force_ratio * forces.residue:
         forces = evidence.forces_accurate()  # in doubt
     if forces.effect >= criteria.min_force_ratio * forces.residue:
         return ""
