@@ -226,17 +226,18 @@ def compare_rivals(
     Args:
         current: Fit of the machine with all effects.
         label: Label (name@component) of the effect to compare.
-        rivals: Its rivals. Those that add coordinates (structural effects) and those that the machine already has are
-            not tried. None is tried for an effect that adds coordinates, or that another effect requires.
+        rivals: Its rivals. Those that add coordinates (structural effects) are not tried, and those that the machine
+            has beside the effect remain no rivals: both are there. None is tried for an effect that adds coordinates,
+            or that another effect requires.
         in_combination: Further rivals, from `rivals_in_combination`, whose size is not known yet.
         likely: Function that returns `most_likely_fit` of the fit, where it is known for another effect of the machine.
 
     Returns:
         The most likely rival and those that remain, with parameters fitted beside all other effects.
     """
-    rivals = (*rivals, *in_combination)
     present = {effect.label: effect for effect in current.machine.effects}
-    untold = {*present, *(rival.label for rival in hidden_rivals(present[label], data))}
+    rivals = tuple(rival for rival in (*rivals, *in_combination) if rival.label not in present)
+    untold = {rival.label for rival in hidden_rivals(present[label], data)}
     possible = [rival for rival in rivals if not rival.definition.structure and rival.label not in untold]
     if not possible or present[label].definition.structure or is_required(current.machine, label):
         return ComparedRivals(None, tuple(rivals))

@@ -363,7 +363,13 @@ class EffectSearch:
             effect = better.machine.effects[-1]
             self._log(f"  {effect.label} replaces {old.effect.label}: it {describe_gain(current, better)}")
             total = (reduced.cost - better.cost) / data.count
-            new = SelectedEffect(effect, total, reduced.machine)
+            # The finest step and all other effects decide between them; this fit has neither.
+            known = (
+                next(e for e in current.machine.effects if e.label == old.effect.label),
+                *old.rival_effects,
+            )
+            rivals = tuple(e for e in known if e.label != effect.label)
+            new = SelectedEffect(effect, total, reduced.machine, rivals)
             others = tuple(s for s in selected if s is not old)
             return self._exchange(fit_with_model_error(better, data), (*others, new), others)
         return current, selected
@@ -441,8 +447,10 @@ class EffectSearch:
             Fit of the machine with the most likely effects, and these effects with the rivals that remain.
         """
         settled: tuple[SelectedEffect, ...] = ()
+        present = {s.effect.label for s in selected}
         for old in selected:
-            others = [e for s in selected if s is not old for e in (s.effect, *s.rival_effects)]
+            others = [s.effect for s in selected if s is not old]
+            others += [e for s in selected if s is not old for e in s.rival_effects if e.label not in present]
             further = rivals_in_combination(old.effect, old.rival_effects, others, current.machine)
             past = self._compared.get(old.effect.label)
             if past is None or past.fitted is not current or past.data is not self.data:

@@ -116,3 +116,10 @@ def test_an_effect_that_adds_coordinates_keeps_its_rivals_untried() -> None:
         current, resonance.label, (PUSH,), axis_runs(AXIS, rows=20, volts=3.0), CRITERIA
     )
     assert compared == (None, (PUSH,))
+
+
+def test_an_effect_of_the_machine_remains_no_rival_of_another_one() -> None:
+    """What explained nearly as much as a spring while both were missing is there beside it."""
+    current = fit_with(SPRING, PUSH, chi2=1.0)
+    data = axis_runs(AXIS, rows=20, volts=3.0)
+    assert rivals.compare_rivals(current, SPRING.label, (PUSH,), data, CRITERIA) == (None, ())

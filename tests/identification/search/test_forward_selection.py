@@ -149,12 +149,14 @@ def test_a_better_effect_replaces_an_earlier_one(
     scripted.without = {PUSH.label: fit_with(SPRING, chi2=6.0)}
     scripted.replacement = fit_with(SPRING, STRIBECK, chi2=chi2)
     scripted.fault = "is unstable" if doubtful else ""
-    current, chosen = fit_with(PUSH, SPRING, chi2=2.0), (selected(PUSH), selected(SPRING))
+    push = dataclasses.replace(selected(PUSH), rival_effects=(STRIBECK, DRAG))
+    current, chosen = fit_with(PUSH, SPRING, chi2=2.0), (push, selected(SPRING))
     fitted, effects = scripted.search()._exchange(current, chosen, chosen[:-1])
     if not replaced:
         assert (fitted, effects) == (current, chosen)
         return
     assert [s.effect for s in effects] == [SPRING, STRIBECK]
+    assert effects[1].rival_effects == (PUSH, DRAG)  # the finest step decides between them
     assert effects[1].gain == pytest.approx(6.0 - chi2)
     assert fitted is scripted.replacement
 
