@@ -5,6 +5,7 @@ Nothing is simulated. Fits have the costs that a test gives them, so that a test
 
 from __future__ import annotations
 
+import dataclasses
 from types import SimpleNamespace
 
 import pytest
